@@ -42,6 +42,6 @@ mod trigonometry;
 
 pub use machine::{Machine, Port};
 pub use robot::{
-    Arrays, Bounds, Config, ConfigError, LINK_STATE, Memory, Parameter, Part, Robot, Settings,
-    Slices, Statistics, Storage,
+    Arrays, Bounds, Config, ConfigError, LINK_STATE, Memory, Parameter, Part, Robot, Seal,
+    Settings, Slices, Statistics, Storage,
 };

@@ -10,6 +10,9 @@ pub(crate) const STATE_INTERVAL: Duration = Duration::from_secs(2);
 /// Minimum silence of the session before a reset is accepted: a few camera frames at 15 Hz. A
 /// forged or delayed reset therefore does not end a live session.
 pub(crate) const RESET_SILENCE: Duration = Duration::from_millis(300);
+/// On a sealed link: silence of the session after which a frame that can't be opened starts a new
+/// attempt. The counter on the wire has 16 bits, so after 32,768 lost frames it names the wrong one.
+pub(crate) const DEAF: Duration = Duration::from_secs(15);
 /// Duration after an event in which changes of the map are sent without delay. It is long enough to
 /// map the scans taken before the event.
 pub(crate) const HURRY: Duration = Duration::from_millis(300);

@@ -32,6 +32,7 @@
 pub mod calibration;
 pub mod camera;
 pub mod channel;
+pub mod conformance;
 pub mod deployment;
 pub mod devices;
 mod files;

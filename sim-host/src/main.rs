@@ -18,11 +18,13 @@ use ubimap_sim_host::{
         Outcome, RunError, backup,
         calibrate::{self, options::CalibrateOptions},
         compare,
+        conformance::{self, options::ConformanceOptions},
         control::{ControlOptions, GoOptions, RobotsOptions},
+        decode::{self, DecodeOptions},
         init::{self, InitOptions},
-        interruption,
+        interruption, keys,
         options::{
-            BackupOptions, CompareOptions, ReplayOptions, ResultOptions, ServeOptions,
+            BackupOptions, CompareOptions, KeysOptions, ReplayOptions, ResultOptions, ServeOptions,
             SimulateOptions, Verbosity, WatchOptions,
         },
         place::{self, options::PlaceOptions},
@@ -79,10 +81,16 @@ enum Command {
     Explore(RobotsOptions),
     /// Show robots, cameras and map of the running server
     Status(ControlOptions),
+    /// Make, list and retire the keys of robots
+    Keys(KeysOptions),
     /// Copy the file of --store, even while the server is running
     Backup(BackupOptions),
     /// Score one ROS map against another
     Compare(CompareOptions),
+    /// Check another implementation of the protocol, robot or server, against SPEC.md
+    Conformance(ConformanceOptions),
+    /// Put captured bytes of a link into words, frame by frame
+    Decode(DecodeOptions),
 }
 
 fn main() -> ExitCode {
@@ -90,13 +98,24 @@ fn main() -> ExitCode {
         Ok(command_line) => command_line,
         Err(error) => return refuse_use(&error),
     };
-    if !matches!(command, Command::Calibrate(_) | Command::Compare(_) | Command::Backup(_)) {
+    if !matches!(
+        command,
+        Command::Calibrate(_)
+            | Command::Compare(_)
+            | Command::Backup(_)
+            | Command::Conformance(_)
+            | Command::Decode(_)
+            | Command::Keys(_)
+    ) {
         interruption::listen();
     }
     let level = match command {
         // It runs until stopped: its messages are its only output.
+        Command::Serve(_) | Command::Robot(_) if !verbosity.quiet && verbosity.verbose == 0 => {
+            LevelFilter::Info
+        }
         Command::Serve(_) | Command::Robot(_) if !verbosity.quiet => {
-            verbosity.level().max(LevelFilter::Info)
+            verbosity.level().max(LevelFilter::Debug)
         }
         _ => verbosity.level(),
     };
@@ -125,8 +144,11 @@ fn main() -> ExitCode {
         Command::Stop(options) => options.run("stop").and_then(|answer| answered(&answer)),
         Command::Explore(options) => options.run("explore").and_then(|answer| answered(&answer)),
         Command::Status(options) => options.status().and_then(|answer| answered(&answer)),
+        Command::Keys(options) => keys(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
+        Command::Conformance(options) => conformance(&options),
+        Command::Decode(options) => decode(&options),
     };
     finished.unwrap_or_else(|error| fail(&error))
 }
@@ -220,9 +242,40 @@ fn backup(options: &BackupOptions) -> Result<ExitCode, RunError> {
     Ok(ExitCode::SUCCESS)
 }
 
+fn keys(options: &KeysOptions) -> Result<ExitCode, RunError> {
+    print(&keys::run(options)?)?;
+    Ok(ExitCode::SUCCESS)
+}
+
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {
     let scores = compare::run(options)?;
     print(&if options.json { scores.to_json_pretty() } else { compare::describe(&scores) })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Succeeds if no check has failed.
+fn conformance(options: &ConformanceOptions) -> Result<ExitCode, RunError> {
+    if options.list {
+        print(&conformance::list(options.role.into()))?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let file = options.junit.as_deref().map(OutputFile::create).transpose()?;
+    let mut printed = Ok(());
+    let report = conformance::run(options, |result| {
+        if !options.json && printed.is_ok() {
+            printed = print(&result.to_string());
+        }
+    })?;
+    printed?;
+    if let Some(file) = file {
+        file.finish(report.junit().as_bytes())?;
+    }
+    print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
+    Ok(status(report.conforms()))
+}
+
+fn decode(options: &DecodeOptions) -> Result<ExitCode, RunError> {
+    print(&decode::run(options)?)?;
     Ok(ExitCode::SUCCESS)
 }
 

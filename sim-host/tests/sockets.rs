@@ -111,7 +111,7 @@ fn robots_on_udp_and_tcp_share_a_server_and_one_that_hung_up_is_found_again() {
     let mut robots: Vec<_> = ports.iter().map(|port| port["robot"].as_u64().unwrap()).collect();
     robots.sort_unstable();
     assert_eq!(robots, [1, 2, 3], "{report}");
-    assert!(ports.iter().all(|port| port["frames_received"].as_u64() >= Some(3)), "{report}");
+    assert!(ports.iter().all(|port| port["link"]["received"].as_u64() >= Some(3)), "{report}");
 }
 
 #[test]

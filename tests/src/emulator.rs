@@ -335,7 +335,15 @@ fn built(name: &str, core: Core, features: &str) -> Result<PathBuf, EmulatorErro
     let mut cargo = compiler(target)?;
     let output = cargo
         .args(["--locked", "--package", "ubimap-agent", "--bin", name])
-        .args(["--features", features, "--target", target, "--profile", "firmware"])
+        .args([
+            "--no-default-features",
+            "--features",
+            features,
+            "--target",
+            target,
+            "--profile",
+            "firmware",
+        ])
         .arg("--message-format=json-render-diagnostics")
         .current_dir(workspace())
         // Compiler flags for the host do not apply to the board, and would replace those of

@@ -81,10 +81,11 @@ pub fn frames(data: &[u8]) {
     while let Some(frame) = decoder.next(&mut input) {
         read += 1;
         let Ok(frame) = frame else { continue };
+        let frame = &*frame;
         let mut wire = [0; cobs::encoded_len(256)];
         let len = cobs::encode([frame, &[]], &mut wire).expect("there is room");
         let mut again = cobs::Decoder::<256>::default();
-        assert_eq!(again.next(&mut &wire[..len]), Some(Ok(frame)));
+        assert_eq!(again.next(&mut &wire[..len]).map(|it| it.map(|it| &*it)), Some(Ok(frame)));
         let Some(contents) = open(SessionId(1), Direction::ToServer, frame) else { continue };
         if let Some((header, payload)) = Header::decode(contents) {
             assert_eq!(header.encode(), contents[..HEADER_LEN]);

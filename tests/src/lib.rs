@@ -1,6 +1,7 @@
 //! Shared parts of the end-to-end tests.
 
 pub mod boxes;
+pub mod conformance;
 pub mod data;
 pub mod deployments;
 pub mod device_fuzz;

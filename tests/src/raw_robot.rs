@@ -96,18 +96,27 @@ impl RawRobot {
     /// # Panics
     /// If a frame is bad.
     pub fn hear(&mut self, server: &mut Server, now: Instant) -> Vec<u8> {
+        self.hear_messages(server, now).into_iter().map(|(kind, _)| kind).collect()
+    }
+
+    /// Reads all frames that are due on its port. Returns kind and body of the session's messages.
+    ///
+    /// # Panics
+    /// If a frame is bad.
+    pub fn hear_messages(&mut self, server: &mut Server, now: Instant) -> Vec<(u8, Vec<u8>)> {
         let mut out = [0; MAX_FRAME];
-        let mut kinds = Vec::new();
+        let mut heard = Vec::new();
         while let Some(len) = server.poll_transmit(self.port, now, &mut out) {
             match self.link.receive(&mut &out[..len], now) {
                 Some(Received::Session(messages)) => {
-                    kinds.extend(messages.filter_map(Result::ok).map(|message| message.number));
+                    let messages = messages.filter_map(Result::ok);
+                    heard.extend(messages.map(|message| (message.number, message.body.to_vec())));
                 }
                 Some(Received::Handshake(_)) => {}
                 other => panic!("{other:?}"),
             }
         }
-        kinds
+        heard
     }
 
     /// Sends a message.

@@ -108,7 +108,8 @@ impl Gathering {
                     gather(messages, payload_capacity(*size), tiles, &mut self.updates);
                 }
                 Received::Handshake(_) => {}
-                Received::Bad => panic!("a bad frame"),
+                Received::Bad(fault) | Received::Stray(_, fault) => panic!("a bad frame: {fault}"),
+                Received::Sealed(_) => panic!("a sealed frame"),
             },
             Direction::ToRobot => match robot.receive(&mut frame, Instant(0)).unwrap() {
                 Received::Session(messages) => {
@@ -121,7 +122,8 @@ impl Gathering {
                         robot.begin(welcome.session, *size);
                     }
                 }
-                Received::Bad => panic!("a bad frame"),
+                Received::Bad(fault) | Received::Stray(_, fault) => panic!("a bad frame: {fault}"),
+                Received::Sealed(_) => panic!("a sealed frame"),
             },
         }
     }

@@ -13,7 +13,7 @@ use ubimap_sim_host::{
     camera::{Observation, Sighting},
     mapping::Weight,
     perception::robots::SightingEvent,
-    server::{Event, RobotEvent, Server},
+    server::{Event, MessageCounters, RobotEvent, Server},
 };
 use ubimap_tests::raw_robot::RawRobot;
 
@@ -209,7 +209,7 @@ fn a_server_continues_after_its_clock_is_set_back() {
     robot.draw(&mut server, at(1_000), NEW, &walls(4, 20));
     drain(&mut server, at(1_000));
     assert_eq!(server.fused().get(NEW).unwrap().1, &walls(4, 20));
-    assert_eq!((server.unread_messages(0), events(&server)), ((0, 0), vec![]));
+    assert_eq!((server.message_counters(0), events(&server)), (MessageCounters::default(), vec![]));
 }
 
 #[test]

@@ -150,7 +150,7 @@ fn a_robot_gets_session_time_and_pose_again_from_the_next_server() {
         times >= 64 && now.since(asked.1).micros() >= 2_000_000
     });
     let report = station.report();
-    assert!(report.ports[0].frames_bad > 0, "no noise arrived: {report:?}");
+    assert!(report.ports[0].link.bad > 0, "no noise arrived: {report:?}");
     drop(station);
 
     // A restarted server has another epoch and another clock, so the robot's session and its time
@@ -171,7 +171,8 @@ fn station(emulator: &Emulator, epoch: u32, pose: Pose, noise: &mut Noise) -> St
     // It is opened once: the emulator does not hang up.
     let opener = Box::new(move || Ok(wire.take().expect("the emulator has disconnected")));
     let attached = Attached::open("the firmware".into(), opener, Some(pose)).unwrap();
-    Station::new(RESOLUTION, Life::new(Epoch(epoch)), vec![attached], Vec::new(), None).unwrap()
+    Station::new(RESOLUTION, Life::new(Epoch(epoch)), (vec![attached], Vec::new()), None, None)
+        .unwrap()
 }
 
 /// Waits until the robot reports the pose seen by the camera, at the capture time of a frame by the

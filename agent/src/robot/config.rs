@@ -3,6 +3,7 @@
 use core::{fmt, num::NonZero};
 
 use ubimap_protocol::{
+    frame::Key,
     tile::Epoch,
     time::Duration,
     units::{Pose, RobotId},
@@ -25,6 +26,8 @@ pub struct Config<D = NoDrive> {
     pub robot: RobotId,
     /// A number that should be different at each boot.
     pub boot_nonce: u32,
+    /// The key of a sealed link, and the number of this boot; `None` for an open link.
+    pub seal: Option<Seal>,
     /// Memory sizes, and the map's range and resolution.
     pub bounds: Bounds,
     /// Hits count twice as evidence if their distances from the sensor along `map`'s x and y are
@@ -72,6 +75,18 @@ pub struct Config<D = NoDrive> {
     pub drive: D,
 }
 
+/// What a robot needs for a sealed link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Seal {
+    /// The key that the robot shares with the server.
+    pub key: Key,
+    /// The number of this boot. It must be higher than at all earlier boots: read it from memory that
+    /// survives a boot, add one, and store it there before the robot is made. With a lower or equal
+    /// number the server takes the robot's Hello for a replay, and frames may be sealed with numbers
+    /// that must be used only once.
+    pub boot: u32,
+}
+
 impl Config {
     /// A robot that only maps. A scan waits 1.5 s for its pose, changes are collected for 1 s, and
     /// a distance vector is sent every 5 s.
@@ -79,6 +94,7 @@ impl Config {
         Self {
             robot,
             boot_nonce: 0,
+            seal: None,
             bounds,
             near: None,
             sensor,
@@ -109,6 +125,7 @@ impl<D> Config<D> {
             drive,
             robot: self.robot,
             boot_nonce: self.boot_nonce,
+            seal: self.seal,
             bounds: self.bounds,
             near: self.near,
             sensor: self.sensor,

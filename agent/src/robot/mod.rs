@@ -30,7 +30,7 @@ use ubimap_protocol::{
 };
 
 pub use bounds::Bounds;
-pub use config::{Config, ConfigError, Part};
+pub use config::{Config, ConfigError, Part, Seal};
 pub use link::LINK_STATE;
 pub use memory::{Arrays, Memory, Slices, Storage};
 pub use parameters::Parameter;
@@ -209,7 +209,7 @@ impl<'b, D: Drive> Robot<'b, D> {
         Self {
             mapper: Mapper::new(&config, beams, scratch, own, fused),
             scans: WaitingScans::new(waiting, config.bounds.readings),
-            link: Link::new(config.boot_nonce),
+            link: Link::new(config.boot_nonce, config.seal),
             drive: config.drive.begin(config.bounds.resolution, drive),
             halt: None,
         }

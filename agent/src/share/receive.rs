@@ -333,8 +333,8 @@ impl<'b> FusedMap<'b> {
     }
 
     /// Compares the digests of some of the server's tiles. A tile held in any other state, even a
-    /// newer one, is dropped and requested: the server is the only writer, so that state is wrong.
-    /// Calls `dropped` with each of these tiles.
+    /// newer one, is dropped and, if the server has the tile, requested: the server is the only
+    /// writer, so that state is wrong. Calls `dropped` with each of these tiles.
     #[inline(never)]
     pub fn compare(&mut self, digests: &Digests, mut dropped: impl FnMut(TileId)) {
         let (layer, epoch) = (digests.layer, self.epoch);
@@ -345,7 +345,9 @@ impl<'b> FusedMap<'b> {
                 // The tile is dropped so that the server's reply is accepted: a reply with the
                 // same version as the tile held here, or an older one, would be ignored as stale.
                 place.give_up(layer);
-                self.request(layer, digest.id);
+                if digest.stamp.version != Version(0) {
+                    self.request(layer, digest.id);
+                }
                 dropped(digest.id);
             }
         }

@@ -84,9 +84,9 @@ impl<const N: usize> Default for Decoder<N> {
 }
 
 impl<const N: usize> Decoder<N> {
-    /// Consumes `input` up to the end of the next frame and returns the frame's contents. `None`
-    /// once the input is used up. Consecutive delimiters are skipped.
-    pub fn next(&mut self, input: &mut &[u8]) -> Option<Result<&[u8], CobsError>> {
+    /// Consumes `input` up to the end of the next frame and returns the frame's contents, which may
+    /// be decrypted in place. `None` once the input is used up. Consecutive delimiters are skipped.
+    pub fn next(&mut self, input: &mut &[u8]) -> Option<Result<&mut [u8], CobsError>> {
         while let Some((&byte, rest)) = input.split_first() {
             *input = rest;
             if byte != DELIMITER {
@@ -103,7 +103,7 @@ impl<const N: usize> Decoder<N> {
             } else if left != 0 {
                 Err(CobsError::Truncated)
             } else {
-                Ok(self.buffer.get(..len).unwrap_or(&[]))
+                Ok(self.buffer.get_mut(..len).unwrap_or_default())
             });
         }
         None
@@ -160,7 +160,7 @@ mod tests {
             let mut decoder = Decoder::<600>::default();
             let mut input = &wire[..len];
             let frame = decoder.next(&mut input).unwrap();
-            prop_assert_eq!(frame, Ok(&raw[..]));
+            prop_assert_eq!(frame.map(|frame| &*frame), Ok(&raw[..]));
         }
 
         #[test]
@@ -174,7 +174,7 @@ mod tests {
             let mut input = &wire[..];
             let mut last = false;
             while let Some(frame) = decoder.next(&mut input) {
-                last = frame == Ok(&[1, 0, 2, 0, 0][..]);
+                last = frame == Ok(&mut [1, 0, 2, 0, 0][..]);
             }
             prop_assert!(last);
         }

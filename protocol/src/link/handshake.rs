@@ -6,7 +6,7 @@
 
 use super::timing::{HELLO_WAIT, NUMBER_WAIT, REFUSED_WAIT};
 use crate::{
-    frame::{MAX_FRAME, MIN_FRAME, MIN_VERSION, VERSION},
+    frame::{MAX_FRAME, MIN_FRAME, MIN_SEALED_FRAME, MIN_VERSION, VERSION},
     message::{Hello, Refusal, RefusalReason, Welcome},
     time::{Duration, Instant},
     units::{Millimetres, SessionId},
@@ -95,6 +95,21 @@ pub enum Answer {
 /// Answers a hello with a welcome to `session`, or with a refusal that names the first mismatch.
 /// The welcome does not renumber the robot's tiles.
 pub fn answer(hello: &Hello, terms: &Terms, session: SessionId, first_epoch: u32) -> Answer {
+    answer_from(hello, terms, session, first_epoch, MIN_FRAME)
+}
+
+/// Answers a hello on a sealed link, whose frames must be larger: see [`answer`].
+pub fn answer_sealed(hello: &Hello, terms: &Terms, session: SessionId, first_epoch: u32) -> Answer {
+    answer_from(hello, terms, session, first_epoch, MIN_SEALED_FRAME)
+}
+
+fn answer_from(
+    hello: &Hello,
+    terms: &Terms,
+    session: SessionId,
+    first_epoch: u32,
+    min_frame: usize,
+) -> Answer {
     let refuse = |reason| Answer::Refusal(Refusal { nonce: hello.nonce, reason });
     if hello.min_version > VERSION || hello.version < MIN_VERSION {
         return refuse(RefusalReason::Version { min: MIN_VERSION, current: VERSION });
@@ -102,8 +117,8 @@ pub fn answer(hello: &Hello, terms: &Terms, session: SessionId, first_epoch: u32
     if hello.resolution != terms.resolution {
         return refuse(RefusalReason::Resolution(terms.resolution));
     }
-    if usize::from(hello.frame) < MIN_FRAME {
-        return refuse(RefusalReason::Frame(MIN_FRAME as u16));
+    if usize::from(hello.frame) < min_frame {
+        return refuse(RefusalReason::Frame(min_frame as u16));
     }
     Answer::Welcome(Welcome {
         nonce: hello.nonce,

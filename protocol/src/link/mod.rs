@@ -7,10 +7,17 @@
 mod acknowledgement;
 mod clock;
 mod endpoint;
+mod fault;
 mod handshake;
+mod replay_window;
 mod round_trip;
+mod sealed_handshake;
+mod security;
 mod timing;
 
 pub use clock::ClockSync;
-pub use endpoint::{Counters, Endpoint, Fill, Received, Transmit};
-pub use handshake::{Answer, Knocking, Terms, answer, is_same_boot};
+pub use endpoint::{Counters, Endpoint, Fill, Received, Transmit, Verdict};
+pub use fault::FrameFault;
+pub use handshake::{Answer, Knocking, Terms, answer, answer_sealed, is_same_boot};
+pub use sealed_handshake::{Opened, SealedHandshake, write_answer, write_hello};
+pub use security::is_of_session;

@@ -1,18 +1,28 @@
 //! Message bodies that travel in both directions.
 
 use heapless::Vec;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de::Error};
 
 use super::direction::{Body, Traffic};
 use crate::tile::{Layer, Stamp, TileId};
 
+/// Number of frame sequence numbers: they have 11 bits and wrap.
+pub const SEQUENCE_MODULUS: u16 = 1 << 11;
+
 /// Acknowledges reliable frames. Kind 0 in both directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ack {
-    /// All reliable frames before this sequence number have arrived.
+    /// All reliable frames before this sequence number have arrived. Malformed from
+    /// [`SEQUENCE_MODULUS`] on.
+    #[serde(deserialize_with = "sequence_number")]
     pub next: u16,
     /// If bit `i` is set, the frame `next + 1 + i` has also arrived.
     pub later: u32,
+}
+
+fn sequence_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
+    let number = u16::deserialize(deserializer)?;
+    if number < SEQUENCE_MODULUS { Ok(number) } else { Err(D::Error::custom("no sequence number")) }
 }
 
 impl<D: Traffic> Body<D> for Ack {
@@ -26,7 +36,7 @@ pub struct TileUpdateHead {
     /// The layer that the tiles belong to.
     pub layer: Layer,
     /// When the newest scan in the tiles was taken, in whole seconds of the server's clock; for the
-    /// server's layers, the map time.
+    /// server's layers, when the update was written.
     pub seconds: u32,
 }
 

@@ -6,6 +6,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use super::{
+    direction::{Body, ToRobot},
     shared::{Digests, ParameterValue, Request, TileUpdateHead},
     table::messages,
 };
@@ -109,6 +110,17 @@ impl fmt::Display for RefusalReason {
 /// hello. The body is empty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reset;
+
+/// A [`Reset`] on a sealed link: it names the frame that it answers, so that an old one is of no use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SealedReset {
+    /// The first eight bytes of the tag of that frame, as a little-endian number.
+    pub echo: u64,
+}
+
+impl Body<ToRobot> for SealedReset {
+    const KIND: ToRobotKind = ToRobotKind::Reset;
+}
 
 /// Answers a time request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

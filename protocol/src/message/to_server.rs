@@ -138,7 +138,7 @@ pub enum Severity {
 pub enum EventCode {
     /// The robot has started.
     Started = 1,
-    /// The robot has had no pose for a second.
+    /// A scan was dropped because no pose was known for its time within the scan deadline.
     PoseLost = 2,
     /// The robot has a pose again.
     PoseFound = 3,

@@ -146,6 +146,31 @@ fn refused() -> Vec<Value> {
         encoder.signed(0, super::FIRST_ID_ORDER);
     });
     cases.push(("a first tile beyond the grid", beyond, "malformed", 0));
+    let sides = [
+        ("a tile that is complete, but beyond the grid to the east", 32_768, 0),
+        ("a tile that is complete, but beyond the grid to the west", -32_769, 0),
+        ("a tile that is complete, but beyond the grid to the north", 0, 32_768),
+        ("a tile that is complete, but beyond the grid to the south", 0, -32_769),
+    ];
+    for (name, x, y) in sides {
+        let beyond = raw(|encoder| {
+            encoder.signed(x, super::FIRST_ID_ORDER);
+            encoder.signed(y, super::FIRST_ID_ORDER);
+            encoder.golomb(1, super::EPOCH_ORDER);
+            an_unknown_tile(encoder);
+        });
+        cases.push((name, beyond, "malformed", 0));
+    }
+    let long_epoch = raw(|encoder| {
+        encoder.signed(0, super::FIRST_ID_ORDER);
+        encoder.signed(0, super::FIRST_ID_ORDER);
+        // 2^32, in the code that 2^32 - 1 has.
+        encoder.plain(u32::MAX, 28);
+        encoder.plain(0, 1);
+        encoder.plain(16, 32);
+        an_unknown_tile(encoder);
+    });
+    cases.push(("an epoch of more than 32 bits", long_epoch, "malformed", 0));
     let start_zero = raw(|encoder| {
         let mut models = context::models();
         encoder.signed(0, super::FIRST_ID_ORDER);
@@ -180,6 +205,17 @@ fn bad_headers(header: TileHeader) -> Vec<Refused> {
     let mut cases = vec![("an empty update", vec![], "malformed", 0)];
     cases.extend(headers.map(|(name, header)| (name, written(&[header]), "malformed", 0)));
     cases
+}
+
+/// Ends an update after the epoch of its only tile, in which nothing is known.
+fn an_unknown_tile(encoder: &mut Encoder<'_>) {
+    let mut models = context::models();
+    encoder.bit(&mut models[context::HAS_BASE], false);
+    encoder.golomb(1, super::VERSION_ORDER);
+    encoder.bit(&mut models[context::FROM_START], true);
+    encoder.bit(&mut models[context::TO_END], true);
+    (0..32).for_each(|_| encoder.bit(&mut models[context::ROW], false));
+    encoder.bit(&mut models[context::MORE], false);
 }
 
 /// An update whose second tile lies east of the grid.

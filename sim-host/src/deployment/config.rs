@@ -64,6 +64,9 @@ pub struct Life {
     /// The number of the first session. It should be random: if a life repeats an epoch, robots
     /// recognise the new life by it. `None`: derived from the epoch.
     pub first_session: Option<u32>,
+    /// The first salt of answers on keyed ports. It must be random. `None`: derived from the epoch;
+    /// only for lives without keyed ports, and for simulations.
+    pub salt: Option<u64>,
     /// The state stored by earlier lives. `None` if there is no store; then this life stores
     /// nothing either.
     pub kept: Option<Kept>,
@@ -72,7 +75,7 @@ pub struct Life {
 impl Life {
     /// A life without a store.
     pub fn new(epoch: Epoch) -> Self {
-        Self { epoch, first_session: None, kept: None }
+        Self { epoch, first_session: None, salt: None, kept: None }
     }
 
     /// When this life begins, by the server's clock, which continues across lives.

@@ -2,6 +2,7 @@
 
 use core::fmt;
 
+use super::camera_event::CameraEvent;
 use crate::{camera::Observation, perception::FrameError, server};
 
 /// Something that happened in a deployment.
@@ -11,6 +12,8 @@ pub enum Event {
     Observed(Observation),
     /// A camera has started to deliver faulty frames.
     Frame(FrameError),
+    /// A camera has moved.
+    Camera(CameraEvent),
     /// An event about robots or people.
     Server(server::Event),
 }
@@ -21,6 +24,7 @@ impl Event {
         match self {
             Self::Observed(_) => log::Level::Trace,
             Self::Frame(_) => log::Level::Warn,
+            Self::Camera(event) => event.level(),
             Self::Server(event) => event.level(),
         }
     }
@@ -38,6 +42,7 @@ impl fmt::Display for Event {
                 )
             }
             Self::Frame(error) => error.fmt(f),
+            Self::Camera(event) => event.fmt(f),
             Self::Server(event) => event.fmt(f),
         }
     }

@@ -7,8 +7,9 @@
 //! | [`registry`] | the robots and their markers |
 //! | `keeping` | when state is written to disk |
 //! | `port` | port handles |
-//! | `event`, `status` | events and counters |
+//! | `camera_event`, `event`, `status` | events and counters |
 
+mod camera_event;
 mod config;
 mod event;
 mod keeping;
@@ -20,8 +21,9 @@ mod tests;
 
 use std::collections::{BTreeMap, VecDeque};
 
+use nalgebra::Isometry3;
 use ubimap_protocol::{
-    frame::MAX_FRAME,
+    frame::{Key, MAX_FRAME},
     link::Terms,
     time::Instant,
     units::{Millimetres, RobotId},
@@ -29,14 +31,17 @@ use ubimap_protocol::{
 
 use self::keeping::Keeping;
 use crate::{
-    camera::{Frame, Observation, Sighting},
+    camera::{Calibration, Frame, Observation, Sighting},
     perception::{
         FrameError, Observer,
         robots::{RegistryError, SightingEvent},
+        steadiness::{Change, Standing},
     },
     server::{Command, CommandError, Server, coordination::GoalError},
 };
 
+pub use crate::server::Policy;
+pub use camera_event::{CameraEvent, CameraEventKind};
 pub use config::{Config, Kept, Life};
 pub use event::Event;
 pub use keeping::Batch;
@@ -74,11 +79,11 @@ const MAX_EVENTS: usize = 1_000;
 /// };
 /// use ubimap_sim_host::{
 ///     camera::{Observation, Sighting},
-///     deployment::{Config, Deployment, Life},
+///     deployment::{Config, Deployment, Life, Policy},
 /// };
 ///
 /// let mut deployment = Deployment::new(Config::new(Millimetres(50)), Life::default())?;
-/// let port = deployment.open_port();
+/// let port = deployment.open_port(Policy::Open);
 /// let mut sent = 0;
 ///
 /// // For a second a camera sees a robot, the floor, and a wall 2 m to the east, in ten frames.
@@ -138,6 +143,9 @@ pub struct Deployment {
     /// The port from which the search for the next frame starts.
     next_port: usize,
     cameras: BTreeMap<usize, CameraStatus>,
+    /// The cameras at the poses that are known.
+    calibrations: Vec<Calibration>,
+    camera_events: VecDeque<(Instant, CameraEvent)>,
     events: VecDeque<(Instant, Event)>,
     sightings: Option<Vec<(Instant, Sighting)>>,
 }
@@ -160,6 +168,8 @@ impl Deployment {
             began,
             next_port: 0,
             cameras: BTreeMap::new(),
+            calibrations: config.cameras,
+            camera_events: VecDeque::new(),
             events: VecDeque::new(),
             sightings: config.keeps_sightings.then(Vec::new),
         })
@@ -169,8 +179,18 @@ impl Deployment {
 /// Inputs.
 impl Deployment {
     /// Opens a port, with at most one robot behind it.
-    pub fn open_port(&mut self) -> PortId {
-        PortId(self.server.open_port())
+    pub fn open_port(&mut self, policy: Policy) -> PortId {
+        PortId(self.server.open_port(policy))
+    }
+
+    /// Gives a robot a key for keyed ports. If it had another one, its session there ends.
+    pub fn set_key(&mut self, robot: RobotId, key: Key) {
+        self.server.set_key(robot, key);
+    }
+
+    /// Takes a robot's key away; its session on a keyed port ends. Returns whether there was one.
+    pub fn retire_key(&mut self, robot: RobotId) -> bool {
+        self.server.retire_key(robot)
     }
 
     /// Closes a port. Ends the session of the robot there; the robot's next session, on any port,
@@ -200,6 +220,9 @@ impl Deployment {
         let (observation, fault) = self.observer.observe(&frame, now, told);
         if let Some(fault) = fault {
             self.add_event(now, Event::Frame(fault));
+        }
+        while let Some((captured, camera, change)) = self.observer.poll_change() {
+            self.moved(captured, camera, &change);
         }
         while let Some((captured, event)) = self.observer.poll_event() {
             self.server.sighting_event(captured, event);
@@ -235,6 +258,54 @@ impl Deployment {
             sightings.extend(observation.robots.iter().map(|&it| (observation.captured, it)));
         }
         self.add_event(captured, Event::Observed(observation));
+    }
+
+    /// A camera has moved: what it has seen since goes, and its new pose counts.
+    fn moved(&mut self, captured: Instant, camera: usize, change: &Change) {
+        let known = self.calibrations.get(camera);
+        let before = known.and_then(|it| it.pose().copied());
+        self.tell_moved(captured, camera, change, before.as_ref());
+        let known = self.calibrations.get_mut(camera);
+        if let (Some(known), Some((_, calibration))) = (known, self.observer.standing(camera)) {
+            *known = *calibration;
+        }
+    }
+
+    /// Reports a camera that has moved, found while its observations were computed elsewhere. `before` is
+    /// its last known pose.
+    pub fn camera_moved(
+        &mut self,
+        captured: Instant,
+        camera: usize,
+        change: Change,
+        before: Option<&Isometry3<f64>>,
+    ) {
+        let change = match change {
+            Change::Knocked { since, pose } => {
+                Change::Knocked { since: self.server_time(since), pose }
+            }
+            settled => settled,
+        };
+        let captured = self.server_time(captured);
+        self.tell_moved(captured, camera, &change, before);
+    }
+
+    fn tell_moved(
+        &mut self,
+        captured: Instant,
+        camera: usize,
+        change: &Change,
+        before: Option<&Isometry3<f64>>,
+    ) {
+        if let Change::Knocked { since, .. } = change {
+            self.server.forget_camera(camera, *since);
+        }
+        let event = CameraEvent::new(camera, change, before);
+        if self.camera_events.len() >= MAX_EVENTS {
+            self.camera_events.pop_front();
+        }
+        self.camera_events.push_back((self.since_began(captured), event));
+        self.add_event(captured, Event::Camera(event));
     }
 
     fn add_event(&mut self, moment: Instant, event: Event) {
@@ -381,8 +452,23 @@ impl Deployment {
             robot,
             state: robot.and_then(|robot| self.server.state(robot)),
             link: self.server.link_counters(port),
+            messages: self.server.message_counters(port),
             bytes_sent: self.server.bytes_sent(port),
         }
+    }
+
+    /// The cameras at the poses that are known, which differ from the configured ones after a knock or a
+    /// drift, and whether each is in use.
+    pub fn calibrations(&self) -> impl Iterator<Item = (&Calibration, bool)> {
+        self.calibrations.iter().enumerate().map(|(camera, calibration)| {
+            let standing = self.observer.standing(camera).map(|(standing, _)| standing);
+            (calibration, standing.is_none_or(|it| it == Standing::Steady))
+        })
+    }
+
+    /// The movements of cameras that were noticed, oldest first. Only the newest 1,000 are kept.
+    pub fn camera_events(&self) -> impl Iterator<Item = &(Instant, CameraEvent)> {
+        self.camera_events.iter()
     }
 
     /// Every camera sighting of a robot with its capture time, in order of arrival. Empty unless
@@ -419,6 +505,9 @@ fn server(config: &Config, life: Life) -> Server {
     let mut server = Server::new(terms, 0);
     if let Some(first) = life.first_session {
         server.number_sessions_from(first);
+    }
+    if let Some(salt) = life.salt {
+        server.salt_from(salt);
     }
     for (robot, footprint) in config.registry.footprints() {
         server.set_footprint(robot, footprint);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use ubimap_protocol::{link::Counters, message::State, units::RobotId};
 
 use super::port::PortId;
-use crate::camera::Observation;
+use crate::{camera::Observation, server::MessageCounters};
 
 /// State and counters of a deployment.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -43,6 +43,8 @@ pub struct PortStatus {
     pub state: Option<State>,
     /// Counters of the link.
     pub link: Counters,
+    /// Counters of the messages that had no effect.
+    pub messages: MessageCounters,
     /// Bytes sent, including framing and retransmissions.
     pub bytes_sent: u64,
 }

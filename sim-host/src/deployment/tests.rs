@@ -119,7 +119,7 @@ impl Robot {
 #[test]
 fn a_failing_store_delays_only_acknowledgements() {
     let mut deployment = keeping(Instant(0));
-    let port = deployment.open_port();
+    let port = deployment.open_port(Policy::Open);
     let mut robot = Robot::connect(&mut deployment, port, at(0));
     robot.draw(&mut deployment, 1, at(10));
     assert!(deployment.poll_timeout(at(10)).is_some_and(|due| due <= at(10)));
@@ -212,7 +212,7 @@ fn the_coordinator_executes_goals_and_exploration() {
     let run = |coordination: Option<Settings>, order: fn(&mut Deployment)| {
         let config = Config { coordination, ..Config::new(RESOLUTION) };
         let mut deployment = Deployment::new(config, Life::default()).unwrap();
-        let port = deployment.open_port();
+        let port = deployment.open_port(Policy::Open);
         let mut robot = Robot::connect(&mut deployment, port, at(0));
         deployment.observe(floor());
         // The coordinator learns of the robot, receives the order, and decides.
@@ -255,7 +255,7 @@ fn the_coordinator_executes_goals_and_exploration() {
 #[test]
 fn closed_ports_are_refused_and_not_reused() {
     let mut deployment = Deployment::new(Config::new(RESOLUTION), Life::default()).unwrap();
-    let [first, second, third] = [(); 3].map(|()| deployment.open_port());
+    let [first, second, third] = [(); 3].map(|()| deployment.open_port(Policy::Open));
     deployment.close_port(second).unwrap();
     assert_eq!(deployment.close_port(second), Err(PortClosed(second)));
     assert_eq!(deployment.receive(second, &[0], at(0)), Err(PortClosed(second)));
@@ -272,7 +272,7 @@ fn closed_ports_are_refused_and_not_reused() {
     let joined = server::Event::Joined(ROBOT, third.number());
     assert_eq!(deployment.poll_event(), Some((at(1), Event::Server(joined))));
     assert_eq!(deployment.port(third).unwrap().robot, Some(ROBOT));
-    let fourth = deployment.open_port();
+    let fourth = deployment.open_port(Policy::Open);
     assert!(fourth > third);
     assert_eq!(
         deployment.status().ports.iter().map(|it| it.port).collect::<Vec<_>>(),

@@ -82,6 +82,24 @@ impl CameraLayer {
         changed
     }
 
+    /// Forgets what a camera has seen after `since`. Returns the tiles that have changed.
+    pub fn forget(&mut self, camera: usize, since: Instant) -> BTreeSet<TileId> {
+        let mut changed = BTreeSet::new();
+        for (&id, still) in &mut self.still {
+            for (cell, (seen, by)) in still.seen.iter_mut().enumerate() {
+                if *by == camera && *seen > since {
+                    *seen = since;
+                    still.tile.set(cell % TILE_SIDE, cell / TILE_SIDE, Cell::Unknown);
+                    still.is_unkept = true;
+                    changed.insert(id);
+                }
+            }
+        }
+        let moving = self.moving.remove(&camera);
+        changed.extend(moving.into_iter().flat_map(|(_, tiles)| tiles.into_keys()));
+        changed
+    }
+
     /// Returns the stationary cells of all tiles observed since the last call.
     pub fn take_unkept(&mut self) -> Vec<CameraTile> {
         let unkept = self.still.iter_mut().filter(|(_, still)| still.is_unkept);
@@ -272,6 +290,19 @@ mod tests {
         assert_eq!(layer.tile(ID).cell(31, 5), Cell::Occupied);
         assert!(layer.observe(&frame(0, 30, &[(-1, Cell::Unknown)])).contains(&ID));
         assert_eq!(layer.tile(ID).cell(31, 5), Cell::Unknown);
+    }
+
+    #[test]
+    fn what_a_knocked_camera_saw_is_forgotten() {
+        let mut layer = CameraLayer::default();
+        layer.observe(&frame(0, 10, &[(-1, Cell::Occupied), (-2, Cell::Free)]));
+        layer.observe(&frame(1, 15, &[(-3, Cell::Free)]));
+        layer.observe(&frame(0, 20, &[(-2, Cell::Occupied), (-4, Cell::Movable)]));
+        layer.take_unkept();
+        assert!(layer.forget(0, Instant(10)).contains(&ID) && layer.has_unkept());
+        let row: Vec<Cell> = (28..32).map(|x| layer.tile(ID).cell(x, 5)).collect();
+        assert_eq!(row, [Cell::Unknown, Cell::Free, Cell::Unknown, Cell::Occupied]);
+        assert!(layer.forget(0, Instant(10)).is_empty());
     }
 
     #[test]

@@ -62,18 +62,18 @@ impl Held {
         &mut self,
         header: &TileHeader,
         decoder: &mut TileDecoder<'_>,
-    ) -> Result<(), BaseMissing> {
+    ) -> Result<Applied, BaseMissing> {
         // Cells of a discarded state may be wrong.
         let is_discarded = self.replica.stamp() == Stamp::NOTHING;
         let mut before = if is_discarded { Tile::UNKNOWN } else { *self.replica.tile() };
-        let is_old = self.replica.apply(header, decoder)? == Applied::Old;
-        if !is_old && header.base.is_none() && header.start == 0 {
+        let applied = self.replica.apply(header, decoder)?;
+        if applied != Applied::Old && header.base.is_none() && header.start == 0 {
             if let Some(earlier) = &self.before {
                 before.fill_unknown_from(earlier);
             }
             self.before = Some(before);
         }
-        Ok(())
+        Ok(applied)
     }
 
     /// Discards the state; its cells stay known until it is replaced.
@@ -149,7 +149,7 @@ impl Epochs {
         &mut self,
         header: &TileHeader,
         decoder: &mut TileDecoder<'_>,
-    ) -> Result<(), BaseMissing> {
+    ) -> Result<Applied, BaseMissing> {
         let epoch = header.stamp.epoch;
         let held = self.open.entry(epoch).or_default();
         let applied = held.apply(header, decoder);

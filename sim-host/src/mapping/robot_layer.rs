@@ -6,8 +6,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::tile::{
-    EPOCHS_AHEAD, Epoch, Replica, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder, TileError,
-    TileHeader, TileId, Version,
+    Applied, EPOCHS_AHEAD, Epoch, Replica, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder,
+    TileError, TileHeader, TileId, Version,
 };
 
 use super::epochs::{Epochs, Held, MAX_HELD};
@@ -103,6 +103,9 @@ pub struct Updated {
     /// of the update was skipped. Requesting this tile makes the robot send all of that again, or
     /// at least keeps it from evicting the tile.
     pub missing: Option<TileId>,
+    /// Number of tile states in the update that were old: a newer one, or one of a closed epoch,
+    /// had arrived before.
+    pub late: u32,
     /// The limit that `missing` would exceed; `None` if its base is missing.
     pub refused: Option<Limit>,
 }
@@ -138,6 +141,7 @@ impl RobotLayer {
             if self.is_closed(header.id, epoch) {
                 // The update is a late copy, which the robot no longer tries to deliver. So nothing
                 // is requested if its remaining tiles can't be decoded.
+                updated.late += 1;
                 match Replica::default().apply(&header, &mut decoder) {
                     Ok(_) => continue,
                     Err(_) => return (updated, Ok(())),
@@ -169,11 +173,14 @@ impl RobotLayer {
         let is_new = !self.tiles.contains_key(&header.id);
         let epochs = self.tiles.entry(header.id).or_default();
         let before = epochs.len();
-        if epochs.apply(header, decoder).is_err() {
-            if is_new {
-                self.tiles.remove(&header.id);
+        match epochs.apply(header, decoder) {
+            Ok(applied) => updated.late += u32::from(applied == Applied::Old),
+            Err(_) => {
+                if is_new {
+                    self.tiles.remove(&header.id);
+                }
+                return false;
             }
-            return false;
         }
         updated.folded.extend(epochs.fold(self.barrier).map(|closed| (header.id, closed)));
         self.epochs = self.epochs + epochs.len() - before;

@@ -118,6 +118,17 @@ impl Background {
         }
     }
 
+    /// Counts each pixel for the cell that it sees on other rays: those of a camera that has drifted.
+    pub(super) fn reseat(&mut self, rays: &RayTable) {
+        self.totals.clear();
+        self.totals.resize(2 * rays.cells() + 2, 0);
+        for pixel in 0..self.home.len() {
+            let home = self.settle(rays, pixel);
+            self.home[pixel] = home;
+            self.totals[home as usize] += 1;
+        }
+    }
+
     /// Whether the initial learning is complete.
     pub fn is_learnt(&self) -> bool {
         self.samples.is_none()

@@ -101,6 +101,20 @@ impl Eye {
         })
     }
 
+    /// Moves the eye to the pose of `calibration`, of the same sensors. If it `relearns`, what it has learnt
+    /// of the room was seen from elsewhere, and is forgotten. Costs as much as [`RayTable::new`].
+    pub fn stand(&mut self, calibration: &Calibration, relearns: bool) {
+        let Some(lens) = &calibration.depth else { return };
+        self.rays = RayTable::new(lens, &calibration.depth_noise, self.rays.survey());
+        if relearns {
+            self.background = Background::new(&self.rays);
+        } else {
+            self.background.reseat(&self.rays);
+        }
+        self.evidence = Evidence::default();
+        self.said = vec![Cell::Unknown; self.rays.cells()];
+    }
+
     /// Sets a detector that labels objects in the pictures of this camera's sensor `picture`.
     pub fn set_detector(&mut self, picture: Lens, detector: Box<dyn Detector>) {
         self.detector = Some((picture, detector));
@@ -174,7 +188,15 @@ impl Eye {
         }
     }
 
-    fn check<'a>(&self, frame: &'a Frame, now: Instant) -> Result<&'a DepthImage, FrameError> {
+    /// The depth image of a frame.
+    ///
+    /// # Errors
+    /// Every [`FrameError`].
+    pub(super) fn check<'a>(
+        &self,
+        frame: &'a Frame,
+        now: Instant,
+    ) -> Result<&'a DepthImage, FrameError> {
         let camera = self.camera;
         if frame.camera != camera {
             return Err(FrameError::Camera(frame.camera, camera));

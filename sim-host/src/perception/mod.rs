@@ -3,7 +3,8 @@
 //! An [`Eye`] is one fixed depth camera: its [`RayTable`] is computed once, its [`Background`] is learnt
 //! from the empty room, and the [`Evidence`] of each image gives cells and objects. [`Tracks`] follow the
 //! objects over all cameras. The [`robots::Localiser`] localises robots by their [`markers`]. The
-//! [`Observer`] combines both. A [`FloorPlane`] is found without a pose, for the calibration.
+//! [`Observer`] combines both, and leaves out cameras that no longer stand where they should
+//! ([`steadiness`]). A [`FloorPlane`] is found without a pose, for the calibration.
 
 mod background;
 mod cells;
@@ -19,6 +20,7 @@ mod motion;
 mod observer;
 mod ray_table;
 pub mod robots;
+pub mod steadiness;
 #[cfg(test)]
 mod testing;
 mod things;

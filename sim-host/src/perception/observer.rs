@@ -1,6 +1,6 @@
 //! Turns frames into observations: localises the robots, and perceives cells and objects.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
     time::{Duration, Instant},
@@ -13,6 +13,7 @@ use super::{
     markers::{Identifier, Mount},
     ray_table::Survey,
     robots::{Localiser, RegistryError, SightingEvent},
+    steadiness::{Change, Standing, Steadiness},
 };
 use crate::{
     camera::{Calibration, Frame, Observation},
@@ -30,11 +31,14 @@ pub struct Observer {
     footprints: BTreeMap<RobotId, Footprint>,
     /// The time and pose of each robot's last localisation.
     localised: BTreeMap<RobotId, (Instant, Pose)>,
+    changes: VecDeque<(Instant, usize, Change)>,
 }
 
 #[derive(Debug)]
 struct Camera {
     eye: Eye,
+    calibration: Calibration,
+    steadiness: Steadiness,
     next_look: Instant,
     /// The current fault of the camera's frames, once it has been reported.
     fault: Option<FrameError>,
@@ -54,13 +58,18 @@ impl Observer {
         let markers = robots.iter().map(|&(identifier, mount, _)| (identifier, mount));
         let camera = |(index, calibration): (usize, &Calibration)| {
             let eye = Eye::new(index, calibration, survey)?;
-            Some(Camera { eye, next_look: Instant(0), fault: None })
+            let lens = calibration.depth.as_ref()?;
+            let steadiness =
+                Steadiness::new(lens.intrinsics(), calibration.depth_noise, *lens.pose());
+            let (calibration, next_look) = (*calibration, Instant(0));
+            Some(Camera { eye, calibration, steadiness, next_look, fault: None })
         };
         Ok(Self {
             localiser: Localiser::new(cameras, markers)?,
             eyes: cameras.iter().enumerate().map(camera).collect(),
             footprints: robots.iter().map(|&(_, mount, it)| (mount.robot, it)).collect(),
             localised: BTreeMap::new(),
+            changes: VecDeque::new(),
         })
     }
 
@@ -78,6 +87,7 @@ impl Observer {
         told: impl IntoIterator<Item = (RobotId, Pose)>,
     ) -> (Observation, Option<FrameError>) {
         let captured = frame.captured;
+        let is_trusted = self.watch(frame, now);
         let robots = self.localiser.observe(frame, now);
         for sighting in &robots {
             let last = self.localised.entry(sighting.robot).or_insert((captured, sighting.pose));
@@ -96,7 +106,7 @@ impl Observer {
         let Some(Some(camera)) = self.eyes.get_mut(frame.camera) else {
             return (observation, None);
         };
-        if frame.depth.is_none() || captured < camera.next_look {
+        if !is_trusted || frame.depth.is_none() || captured < camera.next_look {
             return (observation, None);
         }
         let bodies: Vec<(Footprint, Pose)> = poses
@@ -121,8 +131,59 @@ impl Observer {
         }
     }
 
+    /// Whether the camera of a frame stands where it should, as far as is known.
+    fn watch(&mut self, frame: &Frame, now: Instant) -> bool {
+        let Some(Some(camera)) = self.eyes.get_mut(frame.camera) else { return true };
+        let before = camera.steadiness.standing();
+        if frame.captured >= camera.next_look
+            && let Ok(depths) = camera.eye.check(frame, now)
+        {
+            if let Some(change) = camera.steadiness.look(depths, frame.captured) {
+                camera.change(&change);
+                self.localiser.stand(frame.camera, camera.calibration.picture);
+                self.changes.push_back((frame.captured, frame.camera, change));
+            }
+            if camera.steadiness.standing() != Standing::Steady {
+                camera.next_look = frame.captured + LOOK_INTERVAL;
+            }
+        }
+        let standing = camera.steadiness.standing();
+        if standing != before {
+            self.localiser.leave_out(frame.camera, standing != Standing::Steady);
+        }
+        standing == Standing::Steady
+    }
+
+    /// The next change of a camera's pose: the capture time of the frame that shows it, and the camera.
+    pub fn poll_change(&mut self) -> Option<(Instant, usize, Change)> {
+        self.changes.pop_front()
+    }
+
+    /// Whether a camera stands where it should, and its calibration at its present pose. `None` without a
+    /// depth sensor.
+    pub fn standing(&self, camera: usize) -> Option<(Standing, &Calibration)> {
+        let camera = self.eyes.get(camera)?.as_ref()?;
+        Some((camera.steadiness.standing(), &camera.calibration))
+    }
+
     /// The next problem with markers, and the capture time of the frame that shows it.
     pub fn poll_event(&mut self) -> Option<(Instant, SightingEvent)> {
         self.localiser.poll_event()
+    }
+}
+
+impl Camera {
+    /// Moves the camera to its new pose.
+    fn change(&mut self, change: &Change) {
+        let (pose, relearns) = match change {
+            Change::Knocked { .. } => return,
+            Change::Returned(pose) => (pose, true),
+            Change::Drifted(pose) => (pose, false),
+        };
+        // A pose that was found by a view is finite.
+        if let Ok(calibration) = self.calibration.at(*pose) {
+            self.calibration = calibration;
+            self.eye.stand(&self.calibration, relearns);
+        }
     }
 }

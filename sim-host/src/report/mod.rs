@@ -6,7 +6,9 @@
 
 mod brief;
 mod calibrating;
+mod cameras;
 mod comparison;
+mod link;
 mod output;
 mod output_file;
 mod picture;
@@ -21,7 +23,9 @@ pub use brief::{Brief, brief};
 pub use calibrating::{
     CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult, UnseenCamera,
 };
+pub use cameras::CameraMove;
 pub use comparison::{Comparison, Published};
+pub use link::LinkSummary;
 pub use output::{OutputError, OutputFolder};
 pub use output_file::OutputFile;
 pub use picture::{

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::SeenMap;
+use super::{SeenMap, link::LinkSummary};
 
 /// Results of serving robots on serial ports and sockets, with or without cameras.
 ///
@@ -45,13 +45,8 @@ pub struct PortSummary {
     pub newest_events: Vec<EventSummary>,
     /// Number of time requests of the robot in its session.
     pub time_requests: u32,
-    /// Valid frames received, including duplicates.
-    pub frames_received: u32,
-    /// Received data that is not a frame of the session: noise, damaged frames, frames of an
-    /// earlier session.
-    pub frames_bad: u32,
-    /// Frames that the server sent again.
-    pub retransmissions: u32,
+    /// Counters of the frames and messages at this port.
+    pub link: LinkSummary,
     /// Bytes received, including noise.
     pub bytes_up: u64,
     /// Bytes sent.
@@ -130,7 +125,7 @@ impl ServeReport {
     /// The value of [`ServeReport::schema`].
     pub const SCHEMA: &'static str = "ubimap-serve";
     /// The version written by this program.
-    pub const VERSION: u32 = 1;
+    pub const VERSION: u32 = 2;
 
     /// Whether any robot ever had a session.
     pub fn has_robot(&self) -> bool {
@@ -152,10 +147,8 @@ impl fmt::Display for ServeReport {
             }
             writeln!(
                 f,
-                "    {} frames received, {} bad, {} sent again; {} bytes up, {} down{}",
-                port.frames_received,
-                port.frames_bad,
-                port.retransmissions,
+                "    {}; {} bytes up, {} down{}",
+                port.link,
                 port.bytes_up,
                 port.bytes_down,
                 if port.hung_up { "; hung up" } else { "" }

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Serialize, Serializer};
 
-use super::comparison::Comparison;
+use super::{cameras::CameraMove, comparison::Comparison, link::LinkSummary};
 
 /// Results of one run.
 ///
@@ -45,6 +45,9 @@ pub struct Report {
     /// Errors of the cameras' poses; only if the run has calibrated them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationErrors>,
+    /// The movements of cameras that were noticed, in order of time; left out if there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub camera_moves: Vec<CameraMove>,
 }
 
 /// Results of one robot.
@@ -76,6 +79,10 @@ pub struct RobotSummary {
     pub tiles_evicted: u64,
     /// Cells not drawn because no tile could be evicted.
     pub cells_refused: u64,
+    /// Counters of the robot's end of its link.
+    pub link: LinkSummary,
+    /// Counters of the server's end.
+    pub server_link: LinkSummary,
     /// Events that the robot reported.
     pub events: u64,
     /// Peers and obstacles left out of its frames for lack of space.
@@ -220,6 +227,7 @@ impl Report {
             driving: None,
             sighted: None,
             calibration: None,
+            camera_moves: Vec::new(),
         }
     }
 
@@ -238,6 +246,7 @@ fn ratio(part: f64, whole: u64) -> f64 {
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.write_robots(f)?;
+        self.write_links(f)?;
         self.write_map(f)?;
         self.write_scores(f)?;
         let verdict = if self.map.converged { "all hold the same map" } else { "NOT converged" };
@@ -270,6 +279,14 @@ impl Report {
                 robot.tiles_evicted,
                 robot.cells_refused,
             )?;
+        }
+        Ok(())
+    }
+
+    fn write_links(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for robot in &self.robots {
+            writeln!(f, "robot {}'s end: {}", robot.id, robot.link)?;
+            writeln!(f, "the server's, to robot {}: {}", robot.id, robot.server_link)?;
         }
         Ok(())
     }
@@ -337,6 +354,9 @@ impl Report {
                 calibration.landmarks, calibration.position_m, calibration.angle_deg
             )?;
         }
+        for moved in &self.camera_moves {
+            writeln!(f, "{moved}")?;
+        }
         Ok(())
     }
 }
@@ -373,7 +393,12 @@ mod tests {
         assert_eq!(
             names(&json["robots"][0]),
             "bytes_down bytes_per_mapped bytes_up bytes_up_map cells_refused digest events \
-             frames_lost id mapped news_left_out pixels retransmissions scans tiles tiles_evicted"
+             frames_lost id link mapped news_left_out pixels retransmissions scans server_link \
+             tiles tiles_evicted"
+        );
+        assert_eq!(
+            names(&json["robots"][0]["link"]),
+            "bad duplicates late malformed received refused retransmissions sent unknown"
         );
         assert_eq!(names(&json["robots"][0]["pixels"]), "invalid kept omitted seen");
         assert_eq!(

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::summary::HexDigest;
+use super::{cameras::CameraMove, summary::HexDigest};
 
 /// Results of watching a recording. Times are in seconds of the recording's clock.
 ///
@@ -25,6 +25,8 @@ pub struct WatchReport {
     pub things: Vec<SeenThing>,
     /// Rejected poses, and events about people.
     pub events: Vec<PassedEvent>,
+    /// The movements of cameras that were noticed, in order of time.
+    pub camera_moves: Vec<CameraMove>,
     /// The map at the end.
     pub map: SeenMap,
     /// Duration of the recording in seconds.
@@ -139,6 +141,7 @@ impl Default for WatchReport {
             robots: Vec::new(),
             things: Vec::new(),
             events: Vec::new(),
+            camera_moves: Vec::new(),
             map: SeenMap::default(),
             recorded_s: 0.0,
             elapsed_s: 0.0,
@@ -177,6 +180,9 @@ impl fmt::Display for WatchReport {
         }
         for PassedEvent { what, count, last_s } in &self.events {
             writeln!(f, "event: {what} ({count} times, last at {last_s:.3} s)")?;
+        }
+        for moved in &self.camera_moves {
+            writeln!(f, "{moved}")?;
         }
         let map = &self.map;
         writeln!(

@@ -39,6 +39,8 @@ pub struct DeploymentFile {
     pub store: Option<PathBuf>,
     /// The folder for the map and the pictures.
     pub out: PathBuf,
+    /// The folder with the robots' keys; without it the ports are open.
+    pub keys: Option<PathBuf>,
     /// Where robots are.
     pub ports: Vec<Address>,
     /// The robots.
@@ -80,6 +82,7 @@ struct Keys {
     store: Option<PathBuf>,
     #[serde(default = "usual_out")]
     out: PathBuf,
+    keys: Option<PathBuf>,
     #[serde(default)]
     ports: Vec<String>,
     poses: Option<PathBuf>,
@@ -203,6 +206,7 @@ impl DeploymentFile {
             obstacles: keys.obstacles_m.map(heights).transpose()?,
             store: keys.store.map(|store| beside.join(store)),
             out: beside.join(keys.out),
+            keys: keys.keys.map(|keys| beside.join(keys)),
             ports,
             registry,
             cameras,

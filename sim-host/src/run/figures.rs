@@ -7,10 +7,13 @@ use ubimap_protocol::{
 
 use super::{fleet::Fleet, member::Member};
 use crate::{
-    deployment::PortId,
+    camera::Orientation,
+    deployment::{CameraEventKind, Deployment, PortId},
     grid::OccupancyGrid,
-    report::{Comparison, HexDigest, MapSummary, Pixels, Report, RobotSummary},
-    server::EventLog,
+    report::{
+        CameraMove, Comparison, HexDigest, LinkSummary, MapSummary, Pixels, Report, RobotSummary,
+    },
+    server::{EventLog, MessageCounters},
 };
 
 /// The report of a run, without the figures that only the command knows.
@@ -47,6 +50,29 @@ pub(super) fn report(
     Report::new(seed, robots, map, comparison)
 }
 
+/// The movements of cameras that a deployment has noticed.
+pub(super) fn camera_moves(deployment: &Deployment) -> Vec<CameraMove> {
+    let moves = deployment.camera_events().map(|(moment, event)| CameraMove {
+        camera: event.camera,
+        what: match event.kind {
+            CameraEventKind::Knocked => "knocked",
+            CameraEventKind::Returned => "returned",
+            CameraEventKind::Drifted => "drifted",
+        },
+        at_s: moment.micros() as f64 / 1e6,
+        shift_m: event.way.map(|[metres, _]| metres),
+        turn_deg: event.way.map(|[_, radians]| radians.to_degrees()),
+        pose: event.pose.map(|pose| {
+            let at = pose.translation.vector;
+            let angles = Orientation::of(&pose.rotation);
+            let angles = [angles.heading_rad, angles.tilt_rad, angles.roll_rad];
+            let [heading, tilt, roll] = angles.map(f64::to_degrees);
+            [at.x, at.y, at.z, heading, tilt, roll]
+        }),
+    });
+    moves.collect()
+}
+
 fn summary(fleet: &Fleet<'_>, robot: &Member<'_>, tiles: usize) -> RobotSummary {
     let counted = robot.robot().statistics();
     let pixels = counted.pixels;
@@ -62,6 +88,14 @@ fn summary(fleet: &Fleet<'_>, robot: &Member<'_>, tiles: usize) -> RobotSummary 
         bytes_up: counted.bytes_sent,
         bytes_up_map: counted.bytes_sent_map,
         retransmissions: robot.robot().link_counters().retransmissions.into(),
+        link: LinkSummary::new(
+            robot.robot().link_counters(),
+            MessageCounters {
+                unknown: counted.unknown_messages,
+                malformed: counted.malformed_messages,
+                late: 0,
+            },
+        ),
         frames_lost: robot.frames_lost(),
         tiles: tiles as u64,
         tiles_evicted: robot.robot().own_tiles().evicted().into(),
@@ -82,6 +116,9 @@ fn known_to_the_server(fleet: &Fleet<'_>, robot: RobotId, port: PortId) -> Robot
     RobotSummary {
         id: robot.0,
         bytes_down: port.map_or(0, |port| port.bytes_sent),
+        server_link: port
+            .map(|port| LinkSummary::new(port.link, port.messages))
+            .unwrap_or_default(),
         events: server.events(robot).map_or(0, EventLog::count),
         news_left_out: server.left_out(robot),
         digest: HexDigest(digest.0),

@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     channel::fault::Faults,
-    deployment::{self, Deployment},
+    deployment::{self, Deployment, Policy},
     server::Server,
 };
 
@@ -84,7 +84,7 @@ impl<'b> Fleet<'b> {
         let mut buffers = buffers.iter_mut().map(|buffer| &mut buffer[..]);
         let robots = configs.iter().zip(memory).map(|(config, memory)| {
             let memory = (memory, buffers.next());
-            Member::new(*config, memory, deployment.open_port(), faults, seed)
+            Member::new(*config, memory, deployment.open_port(Policy::Open), faults, seed)
         });
         let robots = robots.collect::<Result<_, ConfigError>>()?;
         Ok(Self {

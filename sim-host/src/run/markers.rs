@@ -71,10 +71,19 @@ pub(super) fn people(deployment: &Deployment, now: Instant) -> Vec<Marker> {
     people.collect()
 }
 
-/// Cameras, with their view of an empty floor.
-pub(super) fn cameras(cameras: &[Calibration]) -> Vec<Marker> {
-    let lenses = cameras.iter().filter_map(|camera| camera.depth.or(camera.picture));
-    lenses.map(|lens| camera(&lens)).collect()
+/// Cameras, with their view of an empty floor, and whether each is in use. One that isn't sees nothing that
+/// counts.
+pub(super) fn cameras<'c>(
+    cameras: impl IntoIterator<Item = (&'c Calibration, bool)>,
+) -> Vec<Marker> {
+    let lenses = cameras
+        .into_iter()
+        .filter_map(|(camera, is_in_use)| Some((camera.depth.or(camera.picture)?, is_in_use)));
+    let marker = |(lens, is_in_use): (Lens, bool)| match camera(&lens) {
+        marker if is_in_use => marker,
+        marker => Marker { kind: MarkerKind::CameraOut, view: Vec::new(), ..marker },
+    };
+    lenses.map(marker).collect()
 }
 
 fn camera(lens: &Lens) -> Marker {

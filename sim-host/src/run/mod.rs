@@ -7,8 +7,10 @@ mod body;
 pub mod calibrate;
 pub mod calibration_drive;
 pub mod compare;
+pub mod conformance;
 pub mod control;
 mod convergence;
+pub mod decode;
 pub mod deployment_file;
 mod driving;
 mod figures;
@@ -18,6 +20,7 @@ pub mod heap;
 pub mod init;
 pub mod interruption;
 pub mod keeper;
+pub mod keys;
 mod markers;
 pub mod member;
 pub mod options;
@@ -46,6 +49,7 @@ use image::RgbImage;
 use serde::Serialize;
 use ubimap_agent::ConfigError;
 
+use self::keys::KeysError;
 use crate::{
     channel::wire::WireError,
     grid::{self, GridError, MapError, OccupancyGrid},
@@ -154,14 +158,33 @@ pub enum RunError {
     /// A serial port can't be opened.
     #[error(transparent)]
     Port(#[from] WireError),
+    /// There is no check with this number.
+    #[error("--only {number}: there is no such check; --list shows 1 to {checks}")]
+    NoCheck {
+        /// The number.
+        number: usize,
+        /// Number of checks.
+        checks: usize,
+    },
+    /// A capture can't be read.
+    #[error("{name}: {reason}")]
+    Capture {
+        /// The file, or the text in its place.
+        name: String,
+        /// The reason, in one line.
+        reason: String,
+    },
     /// A socket without seals.
     #[error(
-        "{address}: whoever reaches a socket could pose as a robot; give --open to allow that, on a bench"
+        "{address}: whoever reaches a socket could pose as a robot; give --keys DIR, or --open to allow that on a bench"
     )]
     Unsealed {
         /// The socket.
         address: String,
     },
+    /// The keys can't be used.
+    #[error(transparent)]
+    Keys(#[from] KeysError),
     /// The number of poses is neither zero, one, nor the number of ports.
     #[error("--pose: {poses} poses for {ports} ports; give one for all ports, or one per port")]
     Poses {
@@ -182,6 +205,14 @@ pub enum RunError {
         /// Number of robots requested.
         asked: usize,
         /// Number of robots in the scenario.
+        there: usize,
+    },
+    /// A camera is to be knocked that the scenario does not have.
+    #[error("--knock: there is no camera {camera}; the scenario has {there}, numbered from 0")]
+    NoSuchCamera {
+        /// The camera's index.
+        camera: usize,
+        /// Number of cameras in the scenario.
         there: usize,
     },
     /// A robot outside needs a scenario with one robot.
@@ -233,11 +264,15 @@ impl RunError {
             | Self::Store(_)
             | Self::Scenario(_)
             | Self::Port(_)
+            | Self::NoCheck { .. }
+            | Self::Capture { .. }
             | Self::Unsealed { .. }
+            | Self::Keys(_)
             | Self::Poses { .. }
             | Self::Robot(_)
             | Self::Registry(_)
             | Self::TooManyRobots { .. }
+            | Self::NoSuchCamera { .. }
             | Self::OneRobot { .. }
             | Self::TooManyTiles { .. }
             | Self::Calibrate(_)

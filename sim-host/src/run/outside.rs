@@ -12,7 +12,7 @@ use ubimap_protocol::{
 use super::stage::Stage;
 use crate::{
     channel::{serial::SerialPort, wire::WireError},
-    deployment::{Deployment, PortId},
+    deployment::{Deployment, Policy, PortId},
     devices::{SimA010, SimCreate2},
 };
 
@@ -84,7 +84,7 @@ impl Outside {
             server: SerialPort::open(&ports.server, BAUD)?,
             sensor: SerialPort::open(&ports.sensor, BAUD)?,
             wheels: SerialPort::open(&ports.wheels, BAUD)?,
-            port: deployment.open_port(),
+            port: deployment.open_port(Policy::Open),
             camera: SimA010::new(BAUD),
             base: SimCreate2::new(),
             driven: [0.0; 2],

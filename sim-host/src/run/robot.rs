@@ -10,7 +10,7 @@ use std::{
 use clap::Args;
 use serde::{Deserialize, Serialize};
 use ubimap_agent::{
-    Bounds, Config, Machine, Memory, Port,
+    Bounds, Config, Machine, Memory, Port, Seal,
     device::{a010::A010, create2::Create2},
     drive::{Driving, Gaze, Motion, StopReason},
     sense::SensorModel,
@@ -25,7 +25,7 @@ use super::{
     RunError,
     body::{self, BUFFER, CAMERA},
     heap::{BOUNDS, Heap},
-    interruption,
+    interruption, keys,
 };
 use crate::{
     channel::{
@@ -37,6 +37,7 @@ use crate::{
         wire::{Wire, WireError, WireWriter},
     },
     files,
+    report::OutputFile,
 };
 
 /// Speed of serial ports in bits per second.
@@ -65,6 +66,8 @@ pub struct RobotOptions {
 /// server = "udp:192.168.1.10:4000"  # or tcp:..., or a serial device
 /// # local = "0.0.0.0:4101"          # the UDP port to send from; with a fixed one, the server welcomes a
 ///                                   # robot that has just booted at once, else after 15 s
+/// # keys = "keys"                   # seals the link with keys/1.key; beside this file, one with the ending
+///                                   # .boot then counts the boots: keep it
 /// sensor = "/dev/ttyUSB0"           # an A010 depth camera at 115,200 bits per second
 /// wheels = "/dev/ttyUSB1"           # a Create 2
 /// radius_m = 0.17
@@ -85,6 +88,9 @@ pub struct RobotFile {
     /// The local address of a UDP link.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub local: Option<std::net::SocketAddr>,
+    /// The folder with the robot's key, for a sealed link.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub keys: Option<PathBuf>,
     /// The port of the A010 depth camera.
     pub sensor: PathBuf,
     /// The port of the Create 2.
@@ -269,7 +275,10 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
     let beside = path.parent().unwrap_or(Path::new(""));
     let server: Address =
         file.server.parse().map_err(|error| refuse(format!("server: {error}")))?;
+    let seal = file.keys.as_ref().map(|folder| seal(path, &beside.join(folder), file.id));
+    let seal = seal.transpose()?;
     let config = file.config(getrandom::u32().map_err(RunError::Randomness)?);
+    let config = Config { seal, ..config };
     let mut memory = Memory::<Heap, Option<Driving>>::new(&config.bounds);
     let mut buffer = [0; BUFFER];
     let camera = body::camera(config.sensor, &mut buffer)
@@ -289,6 +298,26 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
     let lines = [link, device(Port::Sensor, &file.sensor), device(Port::Wheels, &file.wheels)];
     Program { lines, intake: Intake::default(), started: time::Instant::now() }.run(&mut machine);
     Ok(())
+}
+
+/// The robot's key, and the number of this boot, which is stored before it is used.
+fn seal(config: &Path, folder: &Path, robot: u16) -> Result<Seal, RunError> {
+    let keys = keys::load(folder)?;
+    let refuse = |path: &Path, reason: String| RunError::Deployment { path: path.into(), reason };
+    let key = keys.into_iter().find(|(id, _)| *id == RobotId(robot)).map(|(_, key)| key);
+    let key = key.ok_or_else(|| refuse(folder, format!("there is no {robot}.key")))?;
+    let path = config.with_extension("boot");
+    let last = match files::read_settings(&path) {
+        Ok(text) => text.trim().parse().map_err(|_| {
+            refuse(&path, "holds no number of a boot; write a higher one than ever before".into())
+        })?,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => 0_u32,
+        Err(error) => return Err(refuse(&path, error.to_string())),
+    };
+    let boot = last.checked_add(1);
+    let boot = boot.ok_or_else(|| refuse(&path, "no number is left: make a new key".into()))?;
+    OutputFile::create(&path)?.finish(format!("{boot}\n").as_bytes())?;
+    Ok(Seal { key, boot })
 }
 
 struct Program {

@@ -19,7 +19,7 @@ use super::{
     fleet::Fleet,
     heap::{BOUNDS, check_tiles},
     markers,
-    options::SimulateOptions,
+    options::{Knock, SimulateOptions},
     progress::Progress,
     record::{Recorded, Recording},
     room_stage::RoomStage,
@@ -28,7 +28,7 @@ use super::{
     time_lapse::{self, TimeLapse},
 };
 use crate::{
-    camera::FrameSource,
+    camera::{Calibration, FrameSource},
     deployment::{
         self, Deployment,
         registry::{RegisteredRobot, Registry},
@@ -113,6 +113,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, own_tiles(options));
     report.truth = Some(scoring::score(&map, stage.world())?);
     report.calibration = calibration_errors;
+    report.camera_moves = figures::camera_moves(fleet.deployment());
     report.pose = Some(scoring::pose_errors(&fleet, stage.tracks()));
     let sighted = scoring::sighting_errors(&fleet, stage.tracks());
     report.sighted = (!options.ideal_cameras).then_some(sighted);
@@ -145,6 +146,14 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
             return Err(RunError::TooManyRobots { asked, there: scenario.robots.len() });
         }
         scenario.robots.truncate(asked);
+    }
+    for &Knock { camera, knock } in &options.knock {
+        let there = scenario.cameras.len();
+        let config = scenario.cameras.get_mut(camera);
+        config.ok_or(RunError::NoSuchCamera { camera, there })?.knocks.push(knock);
+    }
+    for camera in &mut scenario.cameras {
+        camera.knocks.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     }
     let there = scenario.robots.len();
     if options.outside.is_some() && there != 1 {
@@ -222,7 +231,7 @@ impl Seen {
     fn by(fleet: &Fleet<'_>, world: &World, options: &SimulateOptions) -> Result<Self, RunError> {
         let deployment = fleet.deployment();
         let tiles = deployment.server().coverage().tiles().map(|(id, _, tile)| (id, tile));
-        let cameras = markers::cameras(FrameSource::cameras(world));
+        let cameras = markers::cameras(world_cameras(deployment, world));
         let mut markers = markers::robots(fleet);
         markers.extend(markers::people(deployment, fleet.now()));
         markers.extend(cameras.iter().cloned());
@@ -251,6 +260,19 @@ impl Seen {
             ("error.png", scoring::error_picture(map, world, caption)?),
             ("timelapse.png", time_lapse.picture(map, caption)),
         ])
+    }
+}
+
+/// The cameras where the server knows them, and whether they are in use; those of the world if the
+/// server has none.
+fn world_cameras<'a>(
+    deployment: &'a Deployment,
+    world: &'a World,
+) -> Box<dyn Iterator<Item = (&'a Calibration, bool)> + 'a> {
+    if deployment.calibrations().next().is_some() {
+        Box::new(deployment.calibrations())
+    } else {
+        Box::new(FrameSource::cameras(world).iter().map(|camera| (camera, true)))
     }
 }
 

@@ -12,8 +12,8 @@ use ubimap_protocol::{
 };
 
 use super::{
-    Outcome, RunError, floors, interruption, markers, options::WatchOptions, progress::Progress,
-    robots_file, terminal,
+    Outcome, RunError, figures, floors, interruption, markers, options::WatchOptions,
+    progress::Progress, robots_file, terminal,
 };
 use crate::{
     camera::{CamerasFile, FrameSource, MountedCamera, Sighting},
@@ -65,6 +65,7 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
         robots: seen.robots(&registry),
         things: markers::followed(&deployment, end).iter().map(thing).collect(),
         events: events(server, &frames),
+        camera_moves: figures::camera_moves(&deployment),
         map: seen.map(&map, &coverage),
         recorded_s: end.since(Instant(0)).micros() as f64 / 1e6,
         elapsed_s: started.elapsed().as_secs_f64(),
@@ -78,7 +79,7 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     };
     let markers = seen.markers();
     // Without robots and people, which would hide the coverage of the floor below them.
-    let cameras: Vec<_> = markers::cameras(frames.cameras());
+    let cameras = markers::cameras(deployment.calibrations());
     let picture = report::render_coverage(&map, &coverage, &cameras, &caption);
     Ok(Outcome {
         report,
@@ -237,7 +238,7 @@ impl Seen<'_> {
             })
         });
         let people = markers::people(self.deployment, self.end);
-        robots.chain(people).chain(markers::cameras(self.frames.cameras())).collect()
+        robots.chain(people).chain(markers::cameras(self.deployment.calibrations())).collect()
     }
 
     /// All sighted poses as CSV, with times of the recording's clock.

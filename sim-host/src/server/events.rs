@@ -5,12 +5,14 @@ use core::fmt;
 use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
-    message::{self, EventCode, RefusalReason, Severity},
+    frame::{MIN_VERSION, VERSION},
+    link::FrameFault,
+    message::{self, EventCode, Hello, RefusalReason, Severity},
     time::{Duration, Instant},
     units::{Millimetres, RobotId},
 };
 
-use super::coordination::Notice;
+use super::{coordination::Notice, inbox::Unread};
 use crate::perception::{Lying, robots::SightingEvent};
 
 /// Number of events kept per robot.
@@ -28,8 +30,12 @@ const MAX_IN_INTERVAL: u32 = 20;
 pub enum Event {
     /// A robot opened a session at a port.
     Joined(RobotId, usize),
-    /// A robot was refused a session.
-    Refused(RobotId, RefusalReason),
+    /// A robot that said this Hello was refused a session.
+    Refused(Hello, RefusalReason),
+    /// A frame that came to a port was dropped.
+    Dropped(usize, FrameFault),
+    /// A message that came to a port could not be read.
+    Unread(usize, Unread),
     /// A robot reported an event.
     Reported(RobotId, message::Event),
     /// A sighting of a robot can't be a pose.
@@ -62,6 +68,10 @@ pub enum EventKind {
     Reported,
     /// [`Event::Robot`] about limits.
     Limits,
+    /// [`Event::Dropped`].
+    Dropped,
+    /// [`Event::Unread`].
+    Unread,
 }
 
 impl fmt::Display for EventKind {
@@ -71,6 +81,8 @@ impl fmt::Display for EventKind {
             Self::Refused => "refused sessions",
             Self::Reported => "events reported by robots",
             Self::Limits => "limits exceeded by robots",
+            Self::Dropped => "dropped frames",
+            Self::Unread => "unread messages",
         })
     }
 }
@@ -81,7 +93,8 @@ impl Event {
         match self {
             Self::Joined(..) => log::Level::Info,
             Self::Reported(_, event) if is_routine(event) => log::Level::Info,
-            Self::Drive(..) => log::Level::Debug,
+            Self::Drive(..) | Self::Dropped(..) | Self::Unread(..) => log::Level::Debug,
+            Self::LeftOut { kind: EventKind::Dropped | EventKind::Unread, .. } => log::Level::Debug,
             _ => log::Level::Warn,
         }
     }
@@ -93,7 +106,11 @@ impl fmt::Display for Event {
             Self::Joined(robot, port) => {
                 write!(f, "robot {} has a session on port {port}", robot.0)
             }
-            Self::Refused(robot, reason) => write!(f, "robot {} was refused: {reason}", robot.0),
+            Self::Refused(hello, reason) => {
+                write!(f, "robot {} {}", hello.robot.0, refused(hello, *reason))
+            }
+            Self::Dropped(port, fault) => write!(f, "port {port}: dropped a frame: {fault}"),
+            Self::Unread(port, unread) => write!(f, "port {port}: ignored {unread}"),
             Self::Reported(robot, event) => write!(f, "robot {} {}", robot.0, reason(event)),
             Self::Sighting(event) => event.fmt(f),
             Self::Robot(event) => event.fmt(f),
@@ -137,6 +154,8 @@ impl Events {
             Event::Refused(..) => EventKind::Refused,
             Event::Reported(..) => EventKind::Reported,
             Event::Robot(_) => EventKind::Limits,
+            Event::Dropped(..) => EventKind::Dropped,
+            Event::Unread(..) => EventKind::Unread,
             _ => return self.add(moment, event),
         };
         if self.limits.admit(port, kind, moment) {
@@ -241,6 +260,10 @@ pub enum RobotEvent {
     TooMany(RobotId),
     /// This number of its tiles were damaged in the store, and it has not sent them again.
     LostTiles(RobotId, usize),
+    /// It seals its frames, and there is no key for it.
+    NoKey(RobotId),
+    /// It has no session, and its sealed Hello is older than its last one.
+    OldAttempt(RobotId),
 }
 
 impl fmt::Display for RobotEvent {
@@ -271,6 +294,20 @@ impl fmt::Display for RobotEvent {
                 write!(
                     f,
                     "robot {} gets no session: the server knows 1,024 robots, its maximum; start it with a new --store to forget them",
+                    robot.0
+                )
+            }
+            Self::NoKey(robot) => {
+                let robot = robot.0;
+                write!(
+                    f,
+                    "robot {robot} is sealed, and there is no key for it here: ubimap keys make {robot}"
+                )
+            }
+            Self::OldAttempt(robot) => {
+                write!(
+                    f,
+                    "robot {} says hello with an older stamp than its last one: a replay, or its boot counter was reset; give it a new key",
                     robot.0
                 )
             }
@@ -369,6 +406,26 @@ fn is_routine(event: &message::Event) -> bool {
         || EventCode::from_number(event.code).is_some_and(|code| routine.contains(&code))
 }
 
+/// What a refused robot offered and what is required, as the end of a sentence that begins with the
+/// robot.
+fn refused(hello: &Hello, reason: RefusalReason) -> String {
+    match reason {
+        RefusalReason::Version { .. } => format!(
+            "is refused: it speaks protocol versions {} to {}; this server speaks {MIN_VERSION} to {VERSION}",
+            hello.min_version, hello.version
+        ),
+        RefusalReason::Resolution(side) => format!(
+            "is refused: it offers cells of {} mm; this map has {} mm",
+            hello.resolution.0, side.0
+        ),
+        RefusalReason::Frame(least) => format!(
+            "is refused: it can receive frames of {} bytes; the minimum is {least}",
+            hello.frame
+        ),
+        reason => format!("is refused: {reason}"),
+    }
+}
+
 /// What a robot reports, as the end of a sentence that begins with the robot.
 fn reason(event: &message::Event) -> String {
     let what = match EventCode::from_number(event.code) {
@@ -421,16 +478,29 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_names_what_the_server_requires() {
-        let refused = |reason| Event::Refused(RobotId(3), reason).to_string();
-        let resolution = RefusalReason::Resolution(Millimetres(50));
+    fn a_refusal_names_what_the_robot_offers_and_what_the_server_requires() {
+        let hello = Hello {
+            version: 1,
+            min_version: 1,
+            robot: RobotId(7),
+            nonce: 0,
+            frame: 20,
+            resolution: Millimetres(100),
+            fused_tiles: 1,
+        };
+        let refused = |hello, reason| Event::Refused(hello, reason).to_string();
         assert_eq!(
-            refused(resolution),
-            "robot 3 was refused: the cells of the server's map are 50 mm wide"
+            refused(hello, RefusalReason::Resolution(Millimetres(50))),
+            "robot 7 is refused: it offers cells of 100 mm; this map has 50 mm"
+        );
+        let newer = Hello { version: 3, min_version: 2, ..hello };
+        assert_eq!(
+            refused(newer, RefusalReason::Version { min: MIN_VERSION, current: VERSION }),
+            "robot 7 is refused: it speaks protocol versions 2 to 3; this server speaks 1 to 1"
         );
         assert_eq!(
-            refused(RefusalReason::Version { min: 2, current: 3 }),
-            "robot 3 was refused: the server supports protocol versions 2 to 3"
+            refused(hello, RefusalReason::Frame(32)),
+            "robot 7 is refused: it can receive frames of 20 bytes; the minimum is 32"
         );
     }
 

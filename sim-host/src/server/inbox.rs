@@ -1,9 +1,11 @@
 //! Passes a robot's messages to the parts of the server that handle them.
 
+use core::fmt;
+
 use ubimap_protocol::{
     message::{
-        Digests, Event, EventCode, Messages, State, TileDigest, TileUpdateHead, ToServer,
-        ToServerMessage,
+        Digests, Event, EventCode, Message, Messages, State, TileDigest, TileUpdateHead, ToServer,
+        ToServerKind, ToServerMessage,
     },
     tile::{Layer, tile_hash},
     time::Instant,
@@ -19,10 +21,48 @@ pub(super) struct Taken {
     pub(super) updated: Updated,
     /// Events that the robot reported.
     pub(super) events: Vec<Event>,
-    /// Number of messages of unknown kinds.
-    pub(super) unknown: u32,
-    /// Number of malformed messages.
-    pub(super) malformed: u32,
+    /// The messages that could not be read.
+    pub(super) unread: Vec<Unread>,
+    /// Number of tiles in updates whose state was old.
+    pub(super) late: u32,
+}
+
+/// A message that could not be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unread {
+    /// Its kind, by number, is not known to this version.
+    Unknown(u8),
+    /// It can't be read as its kind, or breaks a rule.
+    Malformed {
+        /// The number of the kind.
+        number: u8,
+        /// Length of the body in bytes.
+        len: usize,
+    },
+}
+
+impl Unread {
+    pub(super) fn of(message: Message<'_, ToServer>) -> Self {
+        match message.kind() {
+            None => Self::Unknown(message.number),
+            Some(_) => Self::Malformed { number: message.number, len: message.body.len() },
+        }
+    }
+}
+
+impl fmt::Display for Unread {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Unknown(number) => {
+                write!(f, "a message of kind {number}, which this version does not know")
+            }
+            Self::Malformed { number, len } => {
+                let kind = ToServerKind::from_number(number);
+                let name = kind.map_or_else(String::new, |kind| format!("{kind:?} "));
+                write!(f, "a malformed {name}(kind {number}, {len} bytes)")
+            }
+        }
+    }
 }
 
 impl Taken {
@@ -52,11 +92,9 @@ impl<'a> Inbox<'a> {
     /// Processes the messages of a frame.
     pub(super) fn take(mut self, messages: Messages<'_, ToServer>, now: Instant) -> Taken {
         for message in messages.map_while(Result::ok) {
-            match message.by_kind() {
-                None => self.taken.unknown += 1,
-                Some(message) => {
-                    self.taken.malformed += u32::from(self.take_one(message, now).is_none());
-                }
+            let read = message.by_kind().and_then(|message| self.take_one(message, now));
+            if read.is_none() {
+                self.taken.unread.push(Unread::of(message));
             }
         }
         self.taken
@@ -117,6 +155,7 @@ impl<'a> Inbox<'a> {
         all.tiles.append(&mut updated.tiles);
         all.complete.append(&mut updated.complete);
         all.folded.append(&mut updated.folded);
+        self.taken.late += updated.late;
         if let Some(missing) = updated.missing {
             self.session.ask_for(missing);
         }

@@ -3,6 +3,7 @@
 //! | file or folder | content |
 //! |---|---|
 //! | `ports`, `port`, `inflow` | the ports, their links, and their rate limit |
+//! | `keyring` | keys of robots, and which of their Hellos are new |
 //! | `inbox` | passes robots' messages on |
 //! | `session` | the state of the conversation with one robot |
 //! | `surroundings`, `shared_map` | positions of robots and obstacles; layers and fused map |
@@ -20,6 +21,7 @@ mod dispatch;
 mod events;
 mod inbox;
 mod inflow;
+mod keyring;
 mod port;
 mod ports;
 mod queries;
@@ -34,7 +36,8 @@ mod voided;
 use std::collections::BTreeSet;
 
 use ubimap_protocol::{
-    link::Terms,
+    frame::{Attempt, Key},
+    link::{Terms, Verdict},
     message::{Hello, RefusalReason, Stop},
     tile::Epoch,
     time::Instant,
@@ -65,6 +68,8 @@ use crate::{
 pub use crate::perception::Footprint;
 pub use command::Command;
 pub use events::{Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, described};
+pub use inbox::Unread;
+pub use port::{MessageCounters, Policy};
 pub use ports::{CommandError, NoSuchPort};
 
 /// Maximum number of robots that the server knows at once, including those in the store.
@@ -92,7 +97,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Creates a server with an empty map and `ports` open ports, numbered from zero.
+    /// Creates a server with an empty map and `ports` ports without keys, numbered from zero.
     pub fn new(terms: Terms, ports: usize) -> Self {
         let mut server = Self {
             terms,
@@ -109,7 +114,7 @@ impl Server {
             voided: Voided::default(),
         };
         for _ in 0..ports {
-            server.open_port();
+            server.open_port(Policy::Open);
         }
         server
     }
@@ -120,9 +125,26 @@ impl Server {
         self.ports.number_sessions_from(next);
     }
 
+    /// Sets the salt of the next answer on keyed ports. It must be random: under one key no two lives
+    /// of the server may use a salt twice. The default is derived from the server's epoch.
+    pub fn salt_from(&mut self, next: u64) {
+        self.ports.salt_from(next);
+    }
+
+    /// Gives a robot a key, with which it can open sessions on keyed ports. If it had another one,
+    /// its session there ends.
+    pub fn set_key(&mut self, robot: RobotId, key: Key) {
+        self.ports.set_key(robot, key);
+    }
+
+    /// Takes a robot's key away; its session on a keyed port ends. Returns whether there was one.
+    pub fn retire_key(&mut self, robot: RobotId) -> bool {
+        self.ports.retire_key(robot)
+    }
+
     /// Opens a port and returns its number. Numbers count up and are not reused.
-    pub fn open_port(&mut self) -> usize {
-        self.ports.open()
+    pub fn open_port(&mut self, policy: Policy) -> usize {
+        self.ports.open(policy)
     }
 
     /// Closes a port. Ends the session of the robot there; the robot's next session, on any port,
@@ -150,11 +172,28 @@ impl Server {
             if let Some(robot) = self.ports.poll_candidate(index, bytes, now)? {
                 self.joined(index, robot, now);
             }
-            let port = self.ports.get_mut(index)?;
-            match port.receive(&mut bytes, now) {
+            match self.ports.receive(index, &mut bytes, now)? {
                 None => return Ok(()),
                 Some(Brought::Nothing) => {}
+                Some(Brought::Dropped(fault)) => {
+                    self.events.add_from(index, now, Event::Dropped(index, fault));
+                }
+                Some(Brought::Unread(unread)) => {
+                    self.events.add_from(index, now, Event::Unread(index, unread));
+                }
                 Some(Brought::Hello(hello)) => self.greet(index, &hello, now)?,
+                Some(Brought::SealedHello(attempt, hello)) => {
+                    self.greet_sealed(index, (attempt, &hello), now)?;
+                }
+                Some(Brought::ForgedHello(robot)) => {
+                    self.ports.get_mut(index)?.judge(Verdict::Forged);
+                    self.no_key(index, robot, now);
+                }
+                Some(Brought::Stray(stray, fault)) => {
+                    self.events.add_from(index, now, Event::Dropped(index, fault));
+                    self.no_key(index, stray.robot, now);
+                    self.ports.stray(index, stray, now)?;
+                }
                 Some(Brought::Messages(session, messages)) => {
                     let robot = session.robot();
                     let barrier = self.corrections.retiring(robot);
@@ -162,7 +201,7 @@ impl Server {
                     let taken = Inbox::new(session, layer, &mut self.surroundings);
                     let taken = taken.take(messages, now);
                     self.unsaved.came(session, layer, &taken.updated);
-                    port.taken(taken.unknown, taken.malformed);
+                    self.ports.get_mut(index)?.taken(&taken.unread, taken.late);
                     self.taken((index, robot), taken, now);
                 }
             }
@@ -182,11 +221,43 @@ impl Server {
                 self.joined(port, robot, now);
             }
             Greeted::Refused(reason) => {
-                self.events.add_from(port, now, Event::Refused(robot, reason));
+                self.events.add_from(port, now, Event::Refused(*hello, reason));
             }
-            Greeted::Answered => {}
+            Greeted::Answered | Greeted::Old { .. } => {}
         }
         Ok(())
+    }
+
+    fn greet_sealed(
+        &mut self,
+        port: usize,
+        (attempt, hello): (Attempt, &Hello),
+        now: Instant,
+    ) -> Result<(), NoSuchPort> {
+        let robot = hello.robot;
+        if !self.has_room_for(robot) {
+            self.events.add_from(port, now, Event::Robot(RobotEvent::TooMany(robot)));
+            let reason = RefusalReason::TooManyRobots;
+            return self.ports.refuse_sealed(port, (attempt, hello), reason, now);
+        }
+        let offer = (&self.terms, self.map.next_epoch(robot));
+        match self.ports.greet_sealed(port, (attempt, hello), offer, now)? {
+            Greeted::Refused(reason) => {
+                self.events.add_from(port, now, Event::Refused(*hello, reason));
+            }
+            Greeted::Old { tell: true } => {
+                self.events.add_from(port, now, Event::Robot(RobotEvent::OldAttempt(robot)));
+            }
+            Greeted::Joined | Greeted::Answered | Greeted::Old { .. } => {}
+        }
+        Ok(())
+    }
+
+    /// Tells the operator, once, that a robot on a keyed port has no key.
+    fn no_key(&mut self, port: usize, robot: RobotId, now: Instant) {
+        if self.ports.tells_of(robot) {
+            self.events.add_from(port, now, Event::Robot(RobotEvent::NoKey(robot)));
+        }
     }
 
     /// Handles the beginning of a robot's session.
@@ -230,6 +301,9 @@ impl Server {
         if let Some(dispatch) = &mut self.dispatch {
             taken.codes().for_each(|code| dispatch.event(robot, code, now));
         }
+        for unread in taken.unread {
+            self.events.add_from(port, now, Event::Unread(port, unread));
+        }
         for event in taken.events {
             self.events.add_from(port, now, Event::Reported(robot, event));
         }
@@ -269,6 +343,12 @@ impl Server {
         while let Some(lying) = self.surroundings.poll_lying() {
             self.events.add(lying.moment, Event::Person(lying.into()));
         }
+        self.map.changed(&changed);
+    }
+
+    /// Forgets the cells that a camera has seen after `since`: it was knocked.
+    pub fn forget_camera(&mut self, camera: usize, since: Instant) {
+        let changed = self.map.forget_camera(camera, since);
         self.map.changed(&changed);
     }
 

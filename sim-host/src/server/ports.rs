@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use ubimap_protocol::{
-    frame::SessionId,
-    link::{Answer, Terms, answer},
-    message::{Hello, Refusal, RefusalReason},
+    frame::{Attempt, Key, MAX_SEALED_HANDSHAKE, SessionId, SessionKey, Stray},
+    link::{Answer, Terms, Verdict, answer, answer_sealed, write_answer},
+    message::{Body, Hello, Refusal, RefusalReason, SealedReset, ToRobot},
     tile::Epoch,
     time::Instant,
     units::RobotId,
@@ -13,9 +13,11 @@ use ubimap_protocol::{
 
 use super::{
     command::Command,
-    port::{Candidate, Port},
+    keyring::{Age, Keyring},
+    port::{Brought, Candidate, Policy, Port, SealedOffer},
     session::Session,
 };
+use crate::timing::SESSION_SILENT;
 
 /// The open ports. A robot has at most one session.
 #[derive(Debug)]
@@ -25,6 +27,7 @@ pub(super) struct Ports {
     /// Last sessions of robots that have none now; their next sessions continue from these.
     parted: BTreeMap<RobotId, Session>,
     next_session: u32,
+    keyring: Keyring,
 }
 
 /// The port is not open.
@@ -51,6 +54,10 @@ pub(super) enum Greeted {
     /// alive.
     Answered,
     Refused(RefusalReason),
+    /// A sealed Hello of an earlier attempt. The operator must be told if `tell`.
+    Old {
+        tell: bool,
+    },
 }
 
 impl Ports {
@@ -62,6 +69,7 @@ impl Ports {
             parted: BTreeMap::new(),
             // Session ids must differ from those of earlier runs of the server.
             next_session: server_epoch.wrapping_mul(0x9E37_79B9) | 1,
+            keyring: Keyring::new(u64::from(server_epoch).wrapping_mul(0x9E37_79B9_7F4A_7C15)),
         }
     }
 
@@ -70,11 +78,45 @@ impl Ports {
         self.next_session = next;
     }
 
+    /// Sets the salt of the next sealed answer.
+    pub(super) fn salt_from(&mut self, next: u64) {
+        self.keyring.salt_from(next);
+    }
+
+    /// Sets the key of a robot. A session under another key ends.
+    pub(super) fn set_key(&mut self, robot: RobotId, key: Key) {
+        if self.keyring.key(robot).is_some_and(|held| held != key) {
+            self.retire_key(robot);
+        }
+        self.keyring.set(robot, key);
+    }
+
+    /// Removes the key of a robot; its session on a keyed port ends, and offers are withdrawn.
+    /// Returns whether there was a key.
+    pub(super) fn retire_key(&mut self, robot: RobotId) -> bool {
+        let was_there = self.keyring.retire(robot);
+        let keyed = self.open.values_mut().filter(|port| port.policy() == Policy::Keyed);
+        for port in keyed {
+            port.withdraw(robot);
+            if port.robot() == Some(robot)
+                && let Some(session) = port.end()
+            {
+                self.parted.insert(robot, session);
+            }
+        }
+        was_there
+    }
+
+    /// Whether the operator must be told that a robot has no key.
+    pub(super) fn tells_of(&mut self, robot: RobotId) -> bool {
+        self.keyring.key(robot).is_none() && self.keyring.tell(robot)
+    }
+
     /// Opens a port. Numbers count up from zero and are not reused.
-    pub(super) fn open(&mut self) -> usize {
+    pub(super) fn open(&mut self, policy: Policy) -> usize {
         let port = self.next_port;
         self.next_port += 1;
-        self.open.insert(port, Port::default());
+        self.open.insert(port, Port::new(policy));
         port
     }
 
@@ -93,6 +135,23 @@ impl Ports {
 
     pub(super) fn get_mut(&mut self, port: usize) -> Result<&mut Port, NoSuchPort> {
         self.open.get_mut(&port).ok_or(NoSuchPort(port))
+    }
+
+    /// Decodes a frame from the front of `bytes`, received at a port: see [`Port::receive`].
+    pub(super) fn receive(
+        &mut self,
+        port: usize,
+        bytes: &mut &[u8],
+        now: Instant,
+    ) -> Result<Option<Brought<'_>>, NoSuchPort> {
+        let Self { open, keyring, parted, .. } = self;
+        let there = open.get_mut(&port).ok_or(NoSuchPort(port))?;
+        if there.is_spent()
+            && let Some(session) = there.end()
+        {
+            parted.insert(session.robot(), session);
+        }
+        Ok(there.receive(bytes, keyring, now))
     }
 
     /// The open ports in the order of opening.
@@ -174,6 +233,126 @@ impl Ports {
         Ok(greeted)
     }
 
+    /// Answers a sealed Hello received at a port: see [`Ports::greet`]. It never ends a session, and
+    /// the first frame of the session that it offers does so only for the robot's own.
+    pub(super) fn greet_sealed(
+        &mut self,
+        port: usize,
+        (attempt, hello): (Attempt, &Hello),
+        (terms, first_epoch): (&Terms, Epoch),
+        now: Instant,
+    ) -> Result<Greeted, NoSuchPort> {
+        let robot = hello.robot;
+        match self.judge(port, attempt, robot, now)? {
+            Ok(()) => {}
+            Err(greeted) => return Ok(greeted),
+        }
+        let session = Session::new(hello, self.last_session(robot), now);
+        let id = SessionId(self.next_session.max(1));
+        match answer_sealed(hello, terms, id, first_epoch.0) {
+            Answer::Welcome(mut welcome) => {
+                welcome.renumber = session.is_of_new_life();
+                self.next_session = self.next_session.wrapping_add(1);
+                let (salt, key) = (self.keyring.salt(), self.keyring.key(robot));
+                let Some(key) = key else { return Ok(Greeted::Answered) };
+                let frame = sealed(&key, (robot, Some(attempt), salt), &welcome);
+                let key = SessionKey::derive(&key, robot, attempt, salt, id);
+                let seal = SealedOffer { attempt, key, welcome: frame.clone() };
+                let there = self.get_mut(port)?;
+                there.offer(Candidate::new(&welcome, session, now).sealed(seal));
+                there.answer_sealed(frame);
+                Ok(Greeted::Answered)
+            }
+            Answer::Refusal(refusal) => {
+                self.refuse_with(port, robot, attempt, &refusal)?;
+                Ok(Greeted::Refused(refusal.reason))
+            }
+        }
+    }
+
+    /// Counts a sealed Hello by its attempt. Repeats the Welcome if it was offered here before, and
+    /// returns how the Hello was answered, unless it must be answered still.
+    fn judge(
+        &mut self,
+        port: usize,
+        attempt: Attempt,
+        robot: RobotId,
+        now: Instant,
+    ) -> Result<Result<(), Greeted>, NoSuchPort> {
+        let age = self.keyring.judge(robot, attempt);
+        let there = self.get_mut(port)?;
+        there.judge(if age == Age::Old { Verdict::Replayed } else { Verdict::Good });
+        match age {
+            // A robot whose boot counter was reset knocks in vain.
+            Age::Old => {
+                let tell = !self.has_live_session(robot, now) && self.keyring.tell(robot);
+                return Ok(Err(Greeted::Old { tell }));
+            }
+            Age::Repeated => {
+                let welcome = there.welcome_of(robot, attempt).map(<[u8]>::to_vec);
+                if let Some(welcome) = welcome {
+                    there.answer_sealed(welcome);
+                    return Ok(Err(Greeted::Answered));
+                }
+            }
+            Age::New => self.open.values_mut().for_each(|port| port.withdraw(robot)),
+        }
+        Ok(Ok(()))
+    }
+
+    /// Answers a sealed Hello received at a port with a refusal, unless it is an old one.
+    pub(super) fn refuse_sealed(
+        &mut self,
+        port: usize,
+        (attempt, hello): (Attempt, &Hello),
+        reason: RefusalReason,
+        now: Instant,
+    ) -> Result<(), NoSuchPort> {
+        let refusal = Refusal { nonce: hello.nonce, reason };
+        match self.judge(port, attempt, hello.robot, now)? {
+            Ok(()) => self.refuse_with(port, hello.robot, attempt, &refusal),
+            Err(_) => Ok(()),
+        }
+    }
+
+    fn refuse_with(
+        &mut self,
+        port: usize,
+        robot: RobotId,
+        attempt: Attempt,
+        refusal: &Refusal,
+    ) -> Result<(), NoSuchPort> {
+        let salt = self.keyring.salt();
+        if let Some(key) = self.keyring.key(robot) {
+            let frame = sealed(&key, (robot, Some(attempt), salt), refusal);
+            self.get_mut(port)?.answer_sealed(frame);
+        }
+        Ok(())
+    }
+
+    /// Answers a sealed frame at a port that no session there opens with a Reset, unless the robot
+    /// that it names is alive.
+    pub(super) fn stray(
+        &mut self,
+        port: usize,
+        stray: Stray,
+        now: Instant,
+    ) -> Result<(), NoSuchPort> {
+        let Stray { robot, echo } = stray;
+        if let Some(key) = self.keyring.key(robot)
+            && !self.has_live_session(robot, now)
+        {
+            let salt = self.keyring.salt();
+            let frame = sealed(&key, (robot, None, salt), &SealedReset { echo });
+            self.get_mut(port)?.reset_sealed(frame);
+        }
+        Ok(())
+    }
+
+    fn has_live_session(&self, robot: RobotId, now: Instant) -> bool {
+        self.session(robot).is_some_and(|session| session.silent_for(now) < SESSION_SILENT)
+    }
+
     /// Answers a Hello received at a port with a refusal.
     pub(super) fn refuse(
         &mut self,
@@ -211,6 +390,9 @@ impl Ports {
         if let Some(last) = last {
             offer.session_mut().continue_from(last);
         }
+        if let Some(attempt) = offer.attempt() {
+            self.keyring.spend(robot, attempt);
+        }
         let there = self.get_mut(port)?;
         let displaced = there.end();
         there.begin(offer);
@@ -236,5 +418,19 @@ impl Ports {
     }
 }
 
+/// The sealed frame of an answer to a robot.
+fn sealed<M: Body<ToRobot>>(
+    key: &Key,
+    names: (RobotId, Option<Attempt>, u64),
+    message: &M,
+) -> Vec<u8> {
+    let mut frame = vec![0; MAX_SEALED_HANDSHAKE];
+    let len = write_answer(key, names, message, &mut frame);
+    frame.truncate(len.unwrap_or(0));
+    frame
+}
+
+#[cfg(test)]
+mod sealed_tests;
 #[cfg(test)]
 mod tests;

@@ -12,7 +12,7 @@ use ubimap_protocol::{
 use super::{
     Server,
     events::{EventLog, PersonEvent, RobotEvent, Tally},
-    port::Port,
+    port::{MessageCounters, Port},
     session::Session,
 };
 use crate::{
@@ -179,8 +179,8 @@ impl Server {
         self.ports.get(port).map_or_else(|_| Counters::default(), Port::counters)
     }
 
-    /// Numbers of messages of unknown kinds, and of malformed messages, at a port.
-    pub fn unread_messages(&self, port: usize) -> (u32, u32) {
-        self.ports.get(port).map_or((0, 0), Port::unread)
+    /// Counters of the messages received at a port that had no effect.
+    pub fn message_counters(&self, port: usize) -> MessageCounters {
+        self.ports.get(port).map(Port::message_counters).unwrap_or_default()
     }
 }

@@ -150,6 +150,12 @@ impl SharedMap {
         self.cameras.observe(observation)
     }
 
+    /// Forgets what a camera has seen after `since`. Returns the changed tiles, for
+    /// [`SharedMap::changed`].
+    pub(super) fn forget_camera(&mut self, camera: usize, since: Instant) -> BTreeSet<TileId> {
+        self.cameras.forget(camera, since)
+    }
+
     /// Voids a robot's tiles of epochs below `first_epoch`. Returns the changed tiles and the
     /// epochs that were closed.
     pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) -> Updated {

@@ -6,6 +6,7 @@
 
 use std::{collections::BTreeMap, num::NonZero, sync::Arc, thread};
 
+use nalgebra::Isometry3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Exp1};
@@ -13,8 +14,9 @@ use ubimap_protocol::time::{Duration, Instant};
 
 use super::{
     cadence::FrameSchedule,
+    displacement::displaced,
     render::{FrameCamera, Scene},
-    scenario::CameraConfig,
+    scenario::{CameraConfig, KnockConfig},
 };
 use crate::camera::{Calibration, CalibrationError, Frame};
 
@@ -31,6 +33,7 @@ pub(super) struct Filming {
 struct Shutter {
     camera: FrameCamera,
     times: FrameSchedule,
+    knocks: Vec<KnockConfig>,
     /// Mean additional latency in microseconds.
     jitter: f64,
     lost: f64,
@@ -39,17 +42,26 @@ struct Shutter {
 
 /// A frame in flight.
 enum Shot {
-    /// Not rendered yet: the scene and the seed of the noise.
-    Taken(Arc<Scene>, u64),
+    /// Not rendered yet.
+    Taken(Exposure),
     Drawn(Option<Frame>),
+}
+
+/// What a frame will show.
+#[derive(Clone)]
+struct Exposure {
+    scene: Arc<Scene>,
+    /// The true pose of the camera; `None` if it has never moved.
+    pose: Option<Isometry3<f64>>,
+    /// The seed of the noise.
+    seed: u64,
 }
 
 /// A frame to be rendered.
 struct Job<'c> {
     key: (Instant, Instant, usize),
     camera: &'c mut FrameCamera,
-    scene: Arc<Scene>,
-    seed: u64,
+    exposure: Exposure,
 }
 
 impl Filming {
@@ -66,6 +78,7 @@ impl Filming {
             Ok(Shutter {
                 camera: camera.map_err(|error| (index, error))?,
                 times: FrameSchedule::new(config),
+                knocks: config.knocks.clone(),
                 jitter: config.latency_jitter_ms * 1000.0,
                 lost: config.lost_frames,
                 dice,
@@ -107,7 +120,8 @@ impl Filming {
             let delay = Duration::from_micros((late * shutter.jitter).round() as u64);
             let arrival = now + shutter.times.latency() + delay;
             if let Some(scene) = &taken {
-                self.under_way.insert((arrival, now, index), Shot::Taken(scene.clone(), seed));
+                let exposure = Exposure { scene: scene.clone(), pose: shutter.pose(now), seed };
+                self.under_way.insert((arrival, now, index), Shot::Taken(exposure));
             }
         }
     }
@@ -141,11 +155,11 @@ impl Filming {
         for (index, shutter) in self.shutters.iter_mut().enumerate() {
             let mut shots = self.under_way.iter();
             let next = shots.find_map(|(&key, shot)| match shot {
-                Shot::Taken(scene, seed) if key.2 == index => Some((key, scene.clone(), *seed)),
+                Shot::Taken(exposure) if key.2 == index => Some((key, exposure.clone())),
                 _ => None,
             });
-            if let Some((key, scene, seed)) = next {
-                jobs.push(Job { key, camera: &mut shutter.camera, scene, seed });
+            if let Some((key, exposure)) = next {
+                jobs.push(Job { key, camera: &mut shutter.camera, exposure });
             }
         }
         let share = jobs.len().div_ceil(self.threads).max(1);
@@ -166,10 +180,22 @@ impl Filming {
     }
 }
 
+impl Shutter {
+    /// The true pose at a moment; `None` for a camera that never moves.
+    fn pose(&self, now: Instant) -> Option<Isometry3<f64>> {
+        let stated = self.camera.stated_pose().filter(|_| !self.knocks.is_empty())?;
+        Some(displaced(stated, &self.knocks, now))
+    }
+}
+
 impl Job<'_> {
     fn draw(&mut self) -> ((Instant, Instant, usize), Option<Frame>) {
         let (_, captured, camera) = self.key;
-        let images = self.camera.take(&self.scene, &mut ChaCha8Rng::seed_from_u64(self.seed));
+        let Exposure { scene, pose, seed } = &self.exposure;
+        if let Some(pose) = pose {
+            self.camera.stand(pose);
+        }
+        let images = self.camera.take(scene, &mut ChaCha8Rng::seed_from_u64(*seed));
         let frame = images.map(|(depth, picture)| Frame {
             camera,
             captured,

@@ -3,8 +3,8 @@
 //! Read in this order: `scenario` (the TOML file) and `growth` (generated from a map), `shapes` and `room`
 //! (static geometry and ray casting), `changes` (scheduled changes), `truth` (the perfect map),
 //! `plane_pose`, `route`, `people` and `robots` (motion; `marker` and `tag`: markers on robots), `places`
-//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `mounting`, `render` and
-//! `filming` (camera frames), `passed` (ground that robots have seen), `reachable` (ground where robots
+//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `mounting`, `displacement`, `render`
+//! and `filming` (camera frames), `passed` (ground that robots have seen), `reachable` (ground where robots
 //! can stand), `ideal_camera` and `ideal_cameras` (observations without frames). [`World`] combines them.
 //!
 //! The world moves in steps of [`STEP`], however it is polled: all results depend only on the scenario, the
@@ -12,6 +12,7 @@
 
 mod cadence;
 mod changes;
+mod displacement;
 mod filming;
 mod fixed_parts;
 mod growth;
@@ -58,9 +59,9 @@ pub use robots::SimRobot;
 pub use room::WallGrid;
 pub use scenario::{
     BUILT_IN, CameraConfig, DepthConfig, DoorConfig, FootprintConfig, FurnitureConfig, GrowConfig,
-    MarkerConfig, MoveConfig, NAMED, OdometryConfig, PersonConfig, PictureConfig, PostureConfig,
-    RobotConfig, RoomConfig, RouteConfig, Scenario, ScenarioError, SensorConfig, SensorPreset,
-    StartConfig, WallConfig,
+    KnockConfig, MarkerConfig, MoveConfig, NAMED, OdometryConfig, PersonConfig, PictureConfig,
+    PostureConfig, RobotConfig, RoomConfig, RouteConfig, Scenario, ScenarioError, SensorConfig,
+    SensorPreset, StartConfig, WallConfig,
 };
 pub use sensor::RangeSensor;
 pub use tag::TAGS;

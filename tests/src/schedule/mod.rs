@@ -8,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ubimap_agent::{Bounds, Config, Memory, locate::PoseSource};
 use ubimap_protocol::{
-    frame::Direction,
+    frame::{Direction, MIN_FRAME, MIN_SEALED_FRAME},
     link::Terms,
     message::{ParameterAction, ParameterCommand, Stop},
     time::{Duration, Instant},
@@ -113,6 +113,8 @@ pub struct Schedule {
     calm: Instant,
     calm_faults: Faults,
     drop_repeats: bool,
+    /// Whether the ports are keyed. A robot that has another one's number has another key.
+    is_sealed: bool,
     /// Whether the server may restart in an epoch of an earlier life.
     repeats_epochs: bool,
 }
@@ -145,6 +147,8 @@ impl Schedule {
         let calm = Instant(rng.random_range(5_000_000..25_000_000));
         let mut schedule = Self::quiet(seed, rng, robots, calm);
         schedule.stores = rng.random_bool(0.6);
+        // Not drawn, so that the schedules are those of open links.
+        schedule.is_sealed = seed % 3 == 2;
         for robot in 0..robots {
             let joins = if rng.random_bool(0.7) { 0 } else { rng.random_range(0..calm.0) };
             schedule.happenings.push((Instant(joins), Happening::Boot { robot }));
@@ -243,8 +247,15 @@ impl Schedule {
     }
 
     fn terms(&self) -> Terms {
-        let Self { frame, stores, .. } = *self;
+        let Self { stores, .. } = *self;
+        let frame = self.agreeable(self.frame);
         Terms { resolution: Millimetres(50), frame, server_epoch: 1, stores }
+    }
+
+    /// A frame size that the server may name on these ports.
+    fn agreeable(&self, frame: u16) -> u16 {
+        let min = if self.is_sealed { MIN_SEALED_FRAME } else { MIN_FRAME };
+        frame.max(min as u16)
     }
 
     /// The same schedule, in which the wire drops all retransmitted frames.
@@ -277,6 +288,7 @@ impl Schedule {
             calm,
             calm_faults,
             drop_repeats: false,
+            is_sealed: false,
             repeats_epochs: true,
         }
     }
@@ -299,6 +311,9 @@ impl Schedule {
         let robots =
             self.plans.iter().enumerate().chain(self.twin.iter().map(|it| (self.ports, it)));
         star.members = robots.map(|(port, plan)| Member::new(plan.config.robot, port)).collect();
+        if self.is_sealed {
+            star.seal();
+        }
         if self.drop_repeats {
             star.members.iter_mut().for_each(|robot| robot.up.drop_repeats());
         }
@@ -379,7 +394,7 @@ impl Schedule {
             }
             Happening::Move { robot, port } => star.move_to_port(robot, port),
             Happening::Restart { frame, finds } => {
-                star.restart_server(frame, finds, self.repeats_epochs)
+                star.restart_server(self.agreeable(frame), finds, self.repeats_epochs)
             }
             Happening::BackUp => star.back_up(),
             // What cameras see is reported with each step.

@@ -301,7 +301,8 @@ impl<'b> Star<'b> {
             let now = self.server.link_counters(port);
             let last = self.checked.ports.insert(port, now).unwrap_or_default();
             check_counters(last, now);
-            assert_eq!(self.server.unread_messages(port), (0, 0), "at port {port}");
+            let messages = self.server.message_counters(port);
+            assert_eq!((messages.unknown, messages.malformed), (0, 0), "at port {port}");
         }
     }
 

@@ -8,9 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use ubimap_agent::{Config, Memory, Robot, Statistics};
+use ubimap_agent::{Config, Memory, Robot, Seal, Statistics};
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, Direction, MAX_FRAME},
+    frame::{DEFAULT_FRAME, Direction, Key, MAX_FRAME},
     link::{Counters, Terms},
     tile::{Cell, Epoch, TileId},
     time::{Duration, Instant},
@@ -20,7 +20,7 @@ use ubimap_sim_host::{
     camera::{Observation, Sighting},
     mapping::{CureRecord, Cured, RobotLayer, SeenTile},
     run::heap::Heap,
-    server::{Command, CommandError, Server},
+    server::{Command, CommandError, Policy, Server},
 };
 
 pub use way::Way;
@@ -48,6 +48,8 @@ pub struct Member<'b> {
     /// By how much its clock runs fast, in parts per million.
     drift_ppm: i64,
     bytes_at_boot: u64,
+    /// Its boot counter.
+    boots: u32,
     last: (Statistics, Counters),
     /// The versions of the robot's own tiles, if the server stores tiles on disk.
     own: Held,
@@ -65,6 +67,7 @@ impl<'b> Member<'b> {
             booted: (Instant(0), 0),
             drift_ppm: 0,
             bytes_at_boot: 0,
+            boots: 0,
             last: Default::default(),
             own: Held::new(),
         }
@@ -92,6 +95,11 @@ impl<'b> Member<'b> {
     }
 }
 
+/// The key of a member.
+fn key_of(member: usize) -> Key {
+    Key::new([member as u8 + 1; 16])
+}
+
 /// What a restarted server finds on its disk, if it has one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finds {
@@ -111,6 +119,8 @@ pub struct Star<'b> {
     disk: Option<Disk>,
     terms: Terms,
     ports: usize,
+    /// Whether the ports are keyed, and each robot has a key.
+    is_sealed: bool,
     /// When the server started, and what its clock showed.
     started: (Instant, u64),
     /// The epochs of the server's earlier lives, and whether this life repeats one of them: then robots
@@ -153,6 +163,7 @@ impl<'b> Star<'b> {
             disk: terms.stores.then(Disk::default),
             terms,
             ports,
+            is_sealed: false,
             started: (Instant(0), 0),
             used_epochs: BTreeSet::new(),
             repeats_epoch: false,
@@ -167,6 +178,27 @@ impl<'b> Star<'b> {
             server_changed: false,
             checked: Checked::default(),
             longest_queues: [0; 2],
+        }
+    }
+
+    /// Makes the ports keyed and gives every robot a key, before anything has happened. Of two robots
+    /// with one number the server knows the first one's key.
+    pub fn seal(&mut self) {
+        self.is_sealed = true;
+        self.start_server();
+    }
+
+    fn start_server(&mut self) {
+        self.server = Server::new(self.terms, 0);
+        let policy = if self.is_sealed { Policy::Keyed } else { Policy::Open };
+        for _ in 0..self.ports {
+            self.server.open_port(policy);
+        }
+        if self.is_sealed {
+            self.server.salt_from(self.rng.random());
+            for (index, member) in self.members.iter().enumerate().rev() {
+                self.server.set_key(member.id, key_of(index));
+            }
         }
     }
 
@@ -211,7 +243,11 @@ impl<'b> Star<'b> {
     /// Boots a robot, for the first time or again, with fresh memory.
     pub fn boot(&mut self, member: usize, config: Config, life: &'b mut Memory<Heap>) {
         let start = self.rng.random_range(0..600_000_000);
+        let key = key_of(member);
         let member = &mut self.members[member];
+        member.boots += 1;
+        let seal = self.is_sealed.then_some(Seal { key, boot: member.boots });
+        let config = Config { seal, ..config };
         member.robot = Some(Robot::new(config, life).expect("the configuration is good"));
         member.booted = (self.now, start);
         member.last = Default::default();
@@ -227,7 +263,7 @@ impl<'b> Star<'b> {
         self.draw_epoch(finds, repeats_epochs);
         self.terms.frame = frame;
         let begun = self.cure_record(finds);
-        self.server = Server::new(self.terms, self.ports);
+        self.start_server();
         self.server.number_sessions_from(self.rng.random());
         self.curing.clear();
         self.has_cured = false;

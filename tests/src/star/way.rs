@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use ubimap_protocol::{
-    frame::{Direction, MAX_FRAME, SessionId, cobs, open},
+    frame::{Direction, FrameKind, Header, MAX_FRAME, SessionId, cobs, is_sealed, open},
     time::Instant,
 };
 use ubimap_sim_host::channel::fault::{FaultWire, Faults};
@@ -102,6 +102,9 @@ impl Way {
 
 fn is_handshake(frame: &[u8], direction: Direction) -> bool {
     let mut decoder = cobs::Decoder::<MAX_FRAME>::default();
-    let contents = decoder.next(&mut &*frame);
-    matches!(contents, Some(Ok(frame)) if open(SessionId::NONE, direction, frame).is_some())
+    let Some(Ok(frame)) = decoder.next(&mut &*frame) else { return false };
+    match is_sealed(frame) {
+        true => Header::decode(frame).is_some_and(|(it, _)| it.kind == FrameKind::Handshake),
+        false => open(SessionId::NONE, direction, frame).is_some(),
+    }
 }

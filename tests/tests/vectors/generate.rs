@@ -25,27 +25,84 @@ use ubimap_tests::vectors::{direction_name, folder, hex, planes};
 
 use super::{FRAME_LIMIT, outcome_of};
 
+#[path = "first_steps.rs"]
+mod first_steps;
+#[path = "repair.rs"]
+mod repair;
+#[path = "rows.rs"]
+mod rows;
+#[path = "session.rs"]
+mod session;
+#[path = "timing.rs"]
+mod timing;
+#[path = "trace.rs"]
+mod trace;
+
 const TO_SERVER: Direction = Direction::ToServer;
 const TO_ROBOT: Direction = Direction::ToRobot;
 
-pub(super) fn all() {
-    write("frames", &json!({ "stuffing": stuffing(), "frames": frames() }));
-    write("messages", &messages());
-    write("payloads", &payloads());
-    write("tiles", &tiles());
-    write("replica", &replica());
-    write("digests", &digests());
-    write("handshake", &json!({ "transcript": transcript(), "answers": answers() }));
-    write("window", &window());
-    let refused = json!({
-        "frames": refused_frames(), "payloads": refused_payloads(), "messages": refused_messages(),
-    });
-    write("refused", &refused);
+/// All files of vectors that are generated here, by name.
+pub(super) fn all() -> Vec<(&'static str, Value)> {
+    vec![
+        ("first_steps", first_steps::first_steps()),
+        ("frames", json!({ "stuffing": stuffing(), "frames": frames() })),
+        ("messages", messages()),
+        ("payloads", payloads()),
+        ("tiles", tiles()),
+        ("replica", replica()),
+        ("rows", rows::rows()),
+        ("repair", repair::repair()),
+        ("session", session::session()),
+        ("digests", digests()),
+        ("handshake", json!({ "transcript": transcript(), "answers": answers() })),
+        ("window", window()),
+        ("timing", timing::timing()),
+        (
+            "refused",
+            json!({
+                "frames": refused_frames(), "payloads": refused_payloads(),
+                "messages": refused_messages(),
+            }),
+        ),
+    ]
 }
 
-fn write(name: &str, cases: &Value) {
-    let text = serde_json::to_string_pretty(cases).unwrap() + "\n";
-    fs::write(folder().join(name).with_extension("json"), text).unwrap();
+/// Writes all files.
+pub(super) fn write_all() {
+    for (name, cases) in all() {
+        let text = match name {
+            "first_steps" | "timing" | "session" => printed(&cases),
+            _ => serde_json::to_string_pretty(&cases).unwrap(),
+        };
+        fs::write(folder().join(name).with_extension("json"), text + "\n").unwrap();
+    }
+}
+
+/// Indented JSON in which a list of numbers and names is one line.
+fn printed(value: &Value) -> String {
+    let text = serde_json::to_string_pretty(value).unwrap();
+    let mut lines: Vec<String> = Vec::new();
+    let mut list: Vec<String> = Vec::new();
+    for line in text.lines() {
+        let inner = line.trim();
+        if inner.ends_with('[') {
+            lines.append(&mut list);
+            list.push(line.into());
+        } else if list.is_empty() {
+            lines.push(line.into());
+        } else if inner.starts_with(']') {
+            let (first, rest) = list.split_first().unwrap();
+            let rest: Vec<&str> = rest.iter().map(|it| it.trim()).collect();
+            lines.push(format!("{first}{}{inner}", rest.join(" ")));
+            list.clear();
+        } else if inner.ends_with(['{', '}']) || inner.ends_with("},") {
+            lines.append(&mut list);
+            lines.push(line.into());
+        } else {
+            list.push(line.into());
+        }
+    }
+    lines.join("\n")
 }
 
 fn stuff(contents: &[u8]) -> Vec<u8> {
@@ -913,27 +970,31 @@ fn answers() -> Value {
 }
 
 fn window() -> Value {
-    type Case<'a> = (&'a str, &'a [(u16, &'a str)], Ack);
-    let cases: [Case<'_>; 6] = [
-        ("in order", &[(0, "new"), (1, "new"), (2, "new")], Ack { next: 3, later: 0 }),
-        ("twice", &[(0, "new"), (0, "duplicate"), (1, "new")], Ack { next: 2, later: 0 }),
+    type Case<'a> = (&'a str, u16, &'a [(u16, &'a str)], Ack);
+    let cases: [Case<'_>; 10] = [
+        ("in order", 0, &[(0, "new"), (1, "new"), (2, "new")], Ack { next: 3, later: 0 }),
+        ("twice", 0, &[(0, "new"), (0, "duplicate"), (1, "new")], Ack { next: 2, later: 0 }),
         (
             "a gap",
+            0,
             &[(0, "new"), (2, "new"), (3, "new"), (2, "duplicate")],
             Ack { next: 1, later: 3 },
         ),
         (
             "a gap that closes",
+            0,
             &[(1, "new"), (2, "new"), (4, "new"), (0, "new")],
             Ack { next: 3, later: 1 },
         ),
         (
             "as far ahead as may be",
+            0,
             &[(32, "new"), (33, "refused"), (0, "new"), (33, "new")],
             Ack { next: 1, later: 3 << 30 },
         ),
         (
             "out of the window",
+            0,
             &[
                 (40, "refused"),
                 (1023, "refused"),
@@ -943,8 +1004,27 @@ fn window() -> Value {
             ],
             Ack { next: 1, later: 0 },
         ),
+        (
+            "ahead, and again",
+            0,
+            &[(1, "new"), (1, "duplicate"), (4, "new"), (4, "duplicate"), (3, "new")],
+            Ack { next: 0, later: 0b1101 },
+        ),
+        ("the last number", 2047, &[(2047, "new")], Ack { next: 0, later: 0 }),
+        (
+            "the last number, and the one before",
+            2046,
+            &[(2047, "new"), (2046, "new")],
+            Ack { next: 0, later: 0 },
+        ),
+        (
+            "the numbers begin again",
+            2045,
+            &[(2046, "new"), (0, "new"), (2045, "new"), (2044, "duplicate"), (2047, "new")],
+            Ack { next: 1, later: 0 },
+        ),
     ];
-    let case = |(name, arrivals, ack): &Case<'_>| {
+    let case = |(name, first, arrivals, ack): &Case<'_>| {
         let frames: Vec<_> = arrivals
             .iter()
             .map(|&(sequence, outcome)| {
@@ -953,11 +1033,17 @@ fn window() -> Value {
                 json!({ "sequence": sequence, "wire": hex(&wire), "outcome": outcome })
             })
             .collect();
-        let answer = sealed(TO_ROBOT, 5, header(FrameKind::Datagram, 0), &message::<ToRobot>(ack));
-        json!({
+        let answer =
+            sealed(TO_ROBOT, 5, header(FrameKind::Datagram, *first), &message::<ToRobot>(ack));
+        let mut case = json!({
             "name": name, "session": 5, "frames": frames, "next": ack.next, "later": ack.later,
             "answer": hex(&answer),
-        })
+        });
+        if *first > 0 {
+            // The frames before this one have arrived, and have been acknowledged.
+            case["first"] = json!(first);
+        }
+        case
     };
     cases.iter().map(case).collect()
 }
@@ -1043,7 +1129,7 @@ fn refused_payloads() -> Value {
 }
 
 fn refused_messages() -> Value {
-    let cases: [(&str, Direction, u8, &[u8]); 23] = [
+    let cases: [(&str, Direction, u8, &[u8]); 29] = [
         ("hello cut short", TO_SERVER, 1, &[1, 1, 1, 99, 0xFA, 1, 100]),
         (
             "hello, a nonce of more than 32 bits",
@@ -1063,8 +1149,11 @@ fn refused_messages() -> Value {
             1,
             &[1, 1, 0xFF, 0xFF, 0x07, 99, 0xFA, 1, 100, 16],
         ),
+        ("ack, a sequence number of more than 11 bits", TO_SERVER, 0, &[0x80, 0x10, 0]),
+        ("ack to a robot, a sequence number of more than 11 bits", TO_ROBOT, 0, &[0x80, 0x10, 0]),
         ("ack, bits of more than 32 bits", TO_SERVER, 0, &[5, 0xFF, 0xFF, 0xFF, 0xFF, 0x10]),
         ("time request, empty", TO_SERVER, 2, &[]),
+        ("time request, a nonce of 17 bits", TO_SERVER, 2, &[0x80, 0x80, 0x04]),
         ("state, an option that is neither", TO_SERVER, 4, &[2, 0, 0, 0]),
         ("request, a layer that there is not", TO_SERVER, 6, &[3, 0]),
         (
@@ -1106,6 +1195,14 @@ fn refused_messages() -> Value {
         ("obstacles, a class that there is not", TO_ROBOT, 9, &[0, 1, 1, 3, 0, 0, 0, 0, 0]),
         ("stop, neither true nor false", TO_ROBOT, 11, &[1, 2]),
         ("parameter, an action that there is not", TO_ROBOT, 12, &[1, 3, 0]),
+        ("parameter, a number of 17 bits", TO_ROBOT, 12, &[1, 1, 0x80, 0x80, 0x04]),
+        ("tile update, 33 bits of seconds", TO_SERVER, 3, &[0, 0x80, 0x80, 0x80, 0x80, 0x10]),
+        (
+            "tile update to a robot, 33 bits of seconds",
+            TO_ROBOT,
+            3,
+            &[2, 0x80, 0x80, 0x80, 0x80, 0x10],
+        ),
         ("freshness, too many tiles", TO_ROBOT, 15, &{
             let mut body = [0; 4 + 33];
             body[3] = 33;

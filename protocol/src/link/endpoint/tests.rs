@@ -1,6 +1,6 @@
 use super::*;
 use crate::{
-    frame::Direction,
+    frame::{Direction, open, payload_capacity},
     message::{Hello, Request, ToRobot, ToServer},
     tile::{Layer, TileId},
     units::{Millimetres, RobotId},
@@ -16,7 +16,7 @@ fn pair() -> (End<ToServer>, End<ToRobot>) {
 }
 
 /// A message for either direction that carries a number.
-fn numbered(x: i16) -> Request {
+pub(super) fn numbered(x: i16) -> Request {
     Request { layer: Layer::Robot, tiles: core::iter::once(TileId { x, y: 0 }).collect() }
 }
 
@@ -102,7 +102,7 @@ fn whatever_is_as_long_as_the_room_fits_beside_an_acknowledgement() {
         server.begin(SessionId(77), size);
         let (room, capacity) = (server.room(), payload_capacity(size));
         let is_small = capacity < ROOM_FOR_TWO;
-        assert_eq!(room, if is_small { capacity } else { capacity - ACK_LEN }, "{size}");
+        assert_eq!(room, if is_small { capacity - 1 } else { capacity - ACK_LEN }, "{size}");
         // The longest acknowledgement: the first 2,047 frames, and all after the next one.
         for sequence in (0..SEQUENCE_MODULUS - 1).chain(0..32) {
             server.receiving.arrive(sequence, Instant(0));
@@ -113,7 +113,7 @@ fn whatever_is_as_long_as_the_room_fits_beside_an_acknowledgement() {
         for _ in 0..if is_small { 2 } else { 1 } {
             let mut out = [0u8; 64];
             let longest = |writer: &mut Writer<'_, ToRobot>, _| {
-                assert!(writer.push_encoded(Message::new(99, &[1; 64][..room - 3])), "{size}");
+                assert!(writer.push_encoded(Message::new(99, &[1; 64][..room - 2])), "{size}");
                 Fill::Datagram
             };
             let len = server.poll_transmit(due, &mut out[..size], false, longest).unwrap().len;
@@ -226,14 +226,19 @@ fn frames_that_violate_the_protocol_are_no_sign_of_life() {
     };
     let good = Header { version: VERSION, kind: FrameKind::Datagram, sequence: 0 };
     let cases = [
-        (Header { version: VERSION + 1, ..good }, SessionId(77)),
-        (Header { kind: FrameKind::Handshake, ..good }, SessionId(77)),
-        (Header { kind: FrameKind::Reliable, sequence: 400, ..good }, SessionId(77)),
-        (good, SessionId::NONE),
+        (Header { version: VERSION + 1, ..good }, SessionId(77), FrameFault::Version(VERSION + 1)),
+        (Header { kind: FrameKind::Handshake, ..good }, SessionId(77), FrameFault::Kind),
+        (
+            Header { kind: FrameKind::Reliable, sequence: 400, ..good },
+            SessionId(77),
+            FrameFault::Sequence(400),
+        ),
+        (good, SessionId::NONE, FrameFault::Kind),
     ];
-    for (count, (header, session)) in (1..).zip(cases) {
+    for (count, (header, session, fault)) in (1..).zip(cases) {
         let received = server.receive(&mut &sealed(header, session)[..], Instant(0));
-        assert!(matches!(received, Some(Received::Bad)), "{header:?} {session:?}");
+        let Some(Received::Bad(found)) = received else { panic!("{header:?} {session:?}") };
+        assert_eq!(found, fault);
         assert_eq!((server.counters().refused, server.counters().bad), (count, 0));
     }
     let received = server.receive(&mut &sealed(good, SessionId(77))[..], Instant(0));
@@ -292,4 +297,25 @@ fn datagrams_are_numbered_and_the_numbers_wrap() {
         let (header, _) = Header::decode(contents).unwrap();
         assert_eq!((header.kind, header.sequence), (FrameKind::Datagram, count % SEQUENCE_MODULUS));
     }
+}
+
+#[test]
+fn an_acknowledgement_of_a_number_that_there_is_not_acknowledges_nothing() {
+    let (mut robot, _) = pair();
+    send(&mut robot, 5, Some(42));
+    // Modulo 2,048 it would acknowledge the frame.
+    let header = Header { version: VERSION, kind: FrameKind::Datagram, sequence: 0 };
+    for (next, acknowledged) in [([0x81, 0x10], None), ([0x01, 0x00], Some(42))] {
+        let mut contents = header.encode().to_vec();
+        match next {
+            [next, 0] => contents.extend([0, 2, next, 0]),
+            [low, high] => contents.extend([0, 3, low, high, 0]),
+        }
+        let tail = seal(SessionId(77), Direction::ToRobot, &contents);
+        let mut wire = [0; 64];
+        let len = cobs::encode([&contents, &tail], &mut wire).unwrap();
+        assert!(robot.receive(&mut &wire[..len], Instant(6)).is_some());
+        assert_eq!(robot.poll_acknowledged(), acknowledged);
+    }
+    assert_eq!(robot.counters().refused, 1);
 }

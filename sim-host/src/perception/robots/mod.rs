@@ -57,6 +57,8 @@ pub struct Localiser {
     not_there: BTreeMap<Identifier, u32>,
     /// For each unregistered identifier, the time of its last sighting and whether it was reported.
     strangers: BTreeMap<Identifier, (Instant, bool)>,
+    /// Cameras whose pose is not known.
+    out: BTreeSet<usize>,
     /// Cameras whose last frame had a capture time in the future.
     ahead: BTreeSet<usize>,
     events: VecDeque<(Instant, SightingEvent)>,
@@ -100,6 +102,7 @@ impl Localiser {
             tracks: BTreeMap::new(),
             not_there: BTreeMap::new(),
             strangers: BTreeMap::new(),
+            out: BTreeSet::new(),
             ahead: BTreeSet::new(),
             events: VecDeque::new(),
         })
@@ -119,6 +122,9 @@ impl Localiser {
             return Vec::new();
         }
         self.ahead.remove(&camera);
+        if self.out.contains(&camera) {
+            return Vec::new();
+        }
         let expected: Vec<Expected> = self.expected(captured).collect();
         let markers = self.search.markers(camera, captured, picture, &lens, &expected);
         let mut located: BTreeMap<Identifier, Vec<Placement>> = BTreeMap::new();
@@ -142,6 +148,22 @@ impl Localiser {
             sightings.extend(placement.map(|it| sighting(mount.robot, &it)));
         }
         sightings
+    }
+
+    /// Ignores a camera whose pose is not known, or no longer does.
+    pub fn leave_out(&mut self, camera: usize, is_out: bool) {
+        if is_out {
+            self.out.insert(camera);
+        } else {
+            self.out.remove(&camera);
+        }
+    }
+
+    /// Moves a camera's picture sensor.
+    pub fn stand(&mut self, camera: usize, picture: Option<Lens>) {
+        if let Some(lens) = self.lenses.get_mut(camera) {
+            *lens = picture;
+        }
     }
 
     /// The next problem, and the capture time of the frame that shows it. A problem is reported

@@ -32,6 +32,8 @@ pub enum MarkerKind {
     Camera,
     /// A camera that looks straight down: a yellow square.
     CameraDown,
+    /// A camera that is out of use: a yellow cross.
+    CameraOut,
 }
 
 /// A robot, a person or a camera to be drawn on a picture.
@@ -94,7 +96,7 @@ fn radius(canvas: &Canvas<'_>, marker: &Marker) -> f64 {
         MarkerKind::Robot | MarkerKind::Person => {
             (marker.radius_m * canvas.pixels_per_m()).max(LEAST_RADIUS)
         }
-        MarkerKind::Camera | MarkerKind::CameraDown => CAMERA_RADIUS,
+        MarkerKind::Camera | MarkerKind::CameraDown | MarkerKind::CameraOut => CAMERA_RADIUS,
     }
 }
 
@@ -143,6 +145,11 @@ pub(super) fn symbol(
         MarkerKind::Camera => {
             let [left, right] = [0.6, -0.6].map(|turn| at(1.6 * radius, turn));
             edged_line(image, &[left, centre, right, left], radius * 0.2, CAMERA);
+        }
+        MarkerKind::CameraOut => {
+            for turn in [0.5, 1.5].map(|half| half * std::f64::consts::FRAC_PI_2) {
+                edged_line(image, &[at(radius, turn), at(-radius, turn)], radius * 0.2, CAMERA);
+            }
         }
         MarkerKind::CameraDown => {
             let corners = [0.5, 1.5, 2.5, 3.5, 0.5]

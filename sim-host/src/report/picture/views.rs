@@ -201,6 +201,7 @@ fn legend<'m>(cells: &[Entry], markers: impl Iterator<Item = &'m Marker> + Clone
         (MarkerKind::Person, "person, as tracked"),
         (MarkerKind::Camera, "camera"),
         (MarkerKind::CameraDown, "camera that looks down"),
+        (MarkerKind::CameraOut, "camera out of use, after a knock"),
     ];
     let kinds = kinds.into_iter().filter(|(kind, _)| is_there(*kind));
     let mut entries = cells.to_vec();
@@ -332,9 +333,9 @@ mod tests {
         let (map, other) = (random(), random());
         let mut markers = vec![robot(1.0, 1.0, vec![[0.2, 0.3], [2.0, 1.2], [0.4, 1.8]])];
         markers[0].label = "1".into();
-        for (index, kind) in
-            [MarkerKind::Person, MarkerKind::Camera, MarkerKind::CameraDown].into_iter().enumerate()
-        {
+        let kinds =
+            [MarkerKind::Person, MarkerKind::Camera, MarkerKind::CameraDown, MarkerKind::CameraOut];
+        for (index, kind) in kinds.into_iter().enumerate() {
             // The markers overlap.
             let mut marker = Marker::new(kind, [1.1 + 0.2 * index as f64, 1.1], 1.0);
             marker.view = vec![[0.1, 0.1], [2.5, 0.4], [2.0, 1.9]];

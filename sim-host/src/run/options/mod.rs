@@ -1,5 +1,7 @@
 //! The options of `ubimap`'s commands, checked as they are parsed.
 
+mod keys;
+mod knock;
 mod replay;
 mod simulate;
 mod values;
@@ -13,11 +15,12 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
+pub use keys::{KeysAction, KeysOptions};
+pub use knock::Knock;
 pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
 pub use simulate::{MotionName, SimulateOptions};
-pub(super) use values::{OptionError, number};
-pub(super) use values::{heights, resolution, seconds};
-use values::{milliseconds, pose, probability, tolerance};
+pub(super) use values::{OptionError, heights, milliseconds, number, resolution, seconds};
+use values::{pose, probability, tolerance};
 
 use crate::channel::{address::Address, fault::Faults};
 
@@ -79,8 +82,16 @@ pub struct ServeOptions {
     #[arg(required = true, value_name = "PORT")]
     pub ports: Vec<Address>,
 
+    /// Require sealed frames on all ports and sockets, with the keys in this folder: see `ubimap keys`
+    #[arg(long, value_name = "DIR")]
+    pub keys: Option<PathBuf>,
+
+    /// As --keys keys
+    #[arg(long, conflicts_with = "keys")]
+    pub sealed: bool,
+
     /// Open the sockets to everyone who reaches them, on a bench: their frames are not sealed
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["keys", "sealed"])]
     pub open: bool,
 
     /// Send the robots of a deployment to ground that no camera sees

@@ -7,6 +7,7 @@ use ubimap_protocol::time::Duration;
 
 use super::{
     RunOptions,
+    knock::Knock,
     values::{robots, seconds},
 };
 use crate::{run::outside::OutsidePorts, world::NAMED};
@@ -34,6 +35,17 @@ pub struct SimulateOptions {
     /// minute, and use the poses found instead of the true ones; only the first camera's pose is known
     #[arg(long, help_heading = "Cameras and robots", conflicts_with = "ideal_cameras")]
     pub calibrate: bool,
+
+    /// Knock a camera at a time, which nobody tells the server: the camera's number (from 0), the time in
+    /// seconds, a shift in metres, and changes of heading, tilt and roll in degrees; several times if
+    /// need be. The same as knocks of a camera in a scenario, where they can also take time
+    #[arg(
+        long,
+        help_heading = "Cameras and robots",
+        value_name = "CAMERA@S:X,Y,Z,HEADING,TILT,ROLL",
+        conflicts_with = "ideal_cameras"
+    )]
+    pub knock: Vec<Knock>,
 
     /// Let the robots drive the scenario's routes, instead of exploring by themselves under the
     /// server's coordination

@@ -84,7 +84,7 @@ pub(in crate::run) fn seconds(text: &str) -> Result<Duration, OptionError> {
     Ok(Duration::from_micros((seconds * 1e6).round() as u64))
 }
 
-pub(super) fn milliseconds(text: &str) -> Result<Duration, OptionError> {
+pub(in crate::run) fn milliseconds(text: &str) -> Result<Duration, OptionError> {
     let milliseconds = number(text, 0.0, 60_000.0, "ms")?;
     Ok(Duration::from_micros((milliseconds * 1e3).round() as u64))
 }

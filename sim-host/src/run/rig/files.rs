@@ -99,6 +99,7 @@ fn robot_file(robot: &SimRobot, port: u16) -> RobotFile {
         server: format!("udp:{port}"),
         // A fixed port, so that a robot that was killed is welcomed at once.
         local: Some(([127, 0, 0, 1], port.wrapping_add(number).max(1_024)).into()),
+        keys: None,
         sensor: format!("robot-{number}-sensor").into(),
         wheels: format!("robot-{number}-wheels").into(),
         radius_m: robot.radius_m(),

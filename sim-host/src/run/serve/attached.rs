@@ -3,7 +3,6 @@
 
 use log::Level;
 use ubimap_protocol::{
-    link::Counters,
     message::{Event, State},
     time::{Duration, Instant},
     units::{Pose, RobotId},
@@ -16,7 +15,7 @@ use crate::{
         wire::{Wire, WireError, WireReader, WireWriter},
     },
     deployment::PortStatus,
-    report::{EventSummary, PortSummary, StateSummary},
+    report::{EventSummary, LinkSummary, PortSummary, StateSummary},
     server::{self, EventLog, Server},
 };
 
@@ -47,7 +46,7 @@ pub struct Attached {
     bytes_up: u64,
     bytes_down: u64,
     /// Counters of the links that ended with a hang-up.
-    ended: Counters,
+    ended: LinkSummary,
 }
 
 impl Attached {
@@ -77,7 +76,7 @@ impl Attached {
             is_stalled: false,
             bytes_up: 0,
             bytes_down: 0,
-            ended: Counters::default(),
+            ended: LinkSummary::default(),
         }
     }
 
@@ -183,7 +182,7 @@ impl Attached {
     pub(super) fn follows(&mut self, earlier: &Self) {
         self.bytes_up += earlier.bytes_up;
         self.bytes_down += earlier.bytes_down;
-        self.ended = sum(self.ended, earlier.ended);
+        self.ended = self.ended.plus(earlier.ended);
     }
 
     /// Records the status of the port's robot, and logs it if it is new.
@@ -203,13 +202,13 @@ impl Attached {
     }
 
     /// Counters of all links so far: those that ended, and the one with this status.
-    fn counters(&self, status: Option<&PortStatus>) -> Counters {
-        sum(self.ended, status.map(|status| status.link).unwrap_or_default())
+    fn counters(&self, status: Option<&PortStatus>) -> LinkSummary {
+        let current = status.map(|status| LinkSummary::new(status.link, status.messages));
+        self.ended.plus(current.unwrap_or_default())
     }
 
     /// The report on the port. `status` is the status of its current link; `None` if none is open.
     pub(super) fn summary(&self, status: Option<&PortStatus>, server: &Server) -> PortSummary {
-        let link = self.counters(status);
         let events = self.robot.and_then(|robot| server.events(robot));
         PortSummary {
             port: self.name.clone(),
@@ -220,23 +219,10 @@ impl Attached {
             events: events.map_or(0, EventLog::count),
             newest_events: events.map(summaries).unwrap_or_default(),
             time_requests: self.robot.map_or(0, |robot| server.time_requests(robot)),
-            frames_received: link.received,
-            frames_bad: link.bad,
-            retransmissions: link.retransmissions,
+            link: self.counters(status),
             bytes_up: self.bytes_up,
             bytes_down: self.bytes_down,
         }
-    }
-}
-
-fn sum(one: Counters, other: Counters) -> Counters {
-    Counters {
-        sent: one.sent.wrapping_add(other.sent),
-        retransmissions: one.retransmissions.wrapping_add(other.retransmissions),
-        received: one.received.wrapping_add(other.received),
-        duplicates: one.duplicates.wrapping_add(other.duplicates),
-        bad: one.bad.wrapping_add(other.bad),
-        refused: one.refused.wrapping_add(other.refused),
     }
 }
 

@@ -17,7 +17,7 @@ use crate::{
         udp::UdpSocket,
         wire::WireError,
     },
-    deployment::{Deployment, PortId},
+    deployment::{Deployment, Policy, PortId},
 };
 
 /// Maximum number of peers of a socket at once. Beyond it the stranger that was silent for longest
@@ -75,6 +75,8 @@ pub(super) struct Links {
     links: Vec<Link>,
     /// How robots' reports are logged.
     level: Level,
+    /// What all ports require.
+    policy: Policy,
 }
 
 impl Links {
@@ -86,11 +88,12 @@ impl Links {
     pub(super) fn open(
         attached: Vec<Attached>,
         doors: Vec<Door>,
+        policy: Policy,
         deployment: &mut Deployment,
         level: Level,
     ) -> Result<Self, WireError> {
-        let mut links =
-            Self { intake: Intake::default(), doors: Vec::new(), links: Vec::new(), level };
+        let intake = Intake::default();
+        let mut links = Self { intake, doors: Vec::new(), links: Vec::new(), level, policy };
         for attached in attached {
             links.add(attached, None, deployment, Instant(0))?;
         }
@@ -114,7 +117,8 @@ impl Links {
         heard: Instant,
     ) -> Result<(), WireError> {
         attached.listen(&mut self.intake)?;
-        self.links.push(Link { port: deployment.open_port(), attached, peer, heard });
+        let port = deployment.open_port(self.policy);
+        self.links.push(Link { port, attached, peer, heard });
         Ok(())
     }
 
@@ -268,7 +272,7 @@ impl Links {
             }
             if attached.reopen(now) {
                 match attached.listen(&mut self.intake) {
-                    Ok(()) => link.port = deployment.open_port(),
+                    Ok(()) => link.port = deployment.open_port(self.policy),
                     Err(error) => attached.failed(&error),
                 }
             }

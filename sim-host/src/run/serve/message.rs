@@ -2,11 +2,12 @@
 
 use std::sync::mpsc;
 
+use nalgebra::Isometry3;
 use ubimap_protocol::time::Instant;
 
 use crate::{
     camera::Observation,
-    perception::{FrameError, robots::SightingEvent},
+    perception::{FrameError, robots::SightingEvent, steadiness::Change},
     run::control::Request,
 };
 
@@ -26,6 +27,8 @@ pub(super) enum Message {
 pub(super) struct Perceived {
     pub(super) observation: Observation,
     pub(super) events: Vec<(Instant, SightingEvent)>,
+    /// Changes of the camera's pose: the capture time, the change, and its pose before.
+    pub(super) moves: Vec<(Instant, Change, Option<Isometry3<f64>>)>,
     pub(super) fault: Option<FrameError>,
     /// When the frame arrived.
     pub(super) arrived: Instant,

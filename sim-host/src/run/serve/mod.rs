@@ -20,12 +20,14 @@ mod station;
 use std::{path::Path, sync::mpsc, time};
 
 use ubimap_protocol::{
+    frame::Key,
     tile::Epoch,
     units::{Pose, RobotId},
 };
 
 use super::{
-    RunError, control, deployment_file::DeploymentFile, interruption, keeper, options::ServeOptions,
+    RunError, control, deployment_file::DeploymentFile, interruption, keeper, keys,
+    options::ServeOptions,
 };
 use crate::{
     channel::{address::Address, serial::SerialPort},
@@ -59,6 +61,7 @@ pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
 }
 
 fn serve_bench(options: &ServeOptions) -> Result<ServeReport, RunError> {
+    let keys = keyring(options, None)?;
     let pose = |index: usize| match options.pose[..] {
         [] => None,
         [one] => Some(one),
@@ -68,14 +71,28 @@ fn serve_bench(options: &ServeOptions) -> Result<ServeReport, RunError> {
     if poses > 1 && poses != ports {
         return Err(RunError::Poses { poses, ports });
     }
-    let (wires, doors) = open(&options.ports, options, pose)?;
+    let links = open(&options.ports, options, keys.is_some(), pose)?;
     let resolution = options.resolution;
     let (keeper, life) = begin(options.store.as_deref(), resolution)?;
-    let mut station = Station::new(resolution, life, wires, doors, keeper)?;
+    let mut station = Station::new(resolution, life, links, keys, keeper)?;
     turn(&mut station, options, None)?;
     let report = station.report();
     station.finish();
     Ok(report)
+}
+
+/// The robots' keys, if the ports shall be sealed: from the folder of an option, or that of a deployment.
+fn keyring(
+    options: &ServeOptions,
+    stated: Option<&Path>,
+) -> Result<Option<Vec<(RobotId, Key)>>, RunError> {
+    let asked = options.keys.as_deref().or(options.sealed.then_some(Path::new("keys")));
+    let folder = asked.or(stated.filter(|_| !options.open));
+    let keys = folder.map(keys::load).transpose()?;
+    if let (Some(folder), Some([])) = (folder, keys.as_deref()) {
+        log::warn!("{}: no robot has a key: ubimap keys make ROBOT", folder.display());
+    }
+    Ok(keys)
 }
 
 /// Serves the deployment of a file.
@@ -90,7 +107,9 @@ fn serve_file(path: &Path, options: &ServeOptions) -> Result<ServeReport, RunErr
         return Err(refuse("has neither ports nor cameras: nothing to serve"));
     }
     let mut writer = Writer::new(file.out.clone())?;
-    let links = open(&file.ports, options, |_| None)?;
+    // Before the ports, so that a key that can't be used opens none.
+    let keys = keyring(options, file.keys.as_deref())?;
+    let links = open(&file.ports, options, keys.is_some(), |_| None)?;
     let store = options.store.as_ref().or(file.store.as_ref());
     let (keeper, life) = begin(store.map(|store| store.as_path()), file.resolution)?;
     let config = deployment::Config {
@@ -102,7 +121,7 @@ fn serve_file(path: &Path, options: &ServeOptions) -> Result<ServeReport, RunErr
     for camera in file.cameras.iter().filter(|camera| !camera.is_placed) {
         log::warn!("camera {} has no pose: it is shown and not used", camera.name);
     }
-    let mut station = Station::live(config, life, links, keeper, file.cameras)?;
+    let mut station = Station::live(config, life, (links, keys), keeper, file.cameras)?;
     if options.explore {
         station.explore(file.registry.robots.iter().map(|robot| RobotId(robot.id)));
     }
@@ -163,6 +182,7 @@ fn listen(_: &Path, _: &Station) -> Result<(), RunError> {
 fn open(
     ports: &[Address],
     options: &ServeOptions,
+    is_keyed: bool,
     stands: impl Fn(usize) -> Option<Pose>,
 ) -> Result<(Vec<Attached>, Vec<Door>), RunError> {
     let (mut attached, mut doors) = (Vec::new(), Vec::new());
@@ -172,12 +192,14 @@ fn open(
             let (path, baud, name) = (path.clone(), options.baud, address.to_string());
             let opener: Opener = Box::new(move || Ok(SerialPort::open(&path, baud)?.into_wire()));
             attached.push(Attached::open(name, opener, stands)?);
-        } else if !options.open {
+        } else if !options.open && !is_keyed {
             return Err(RunError::Unsealed { address: address.to_string() });
         } else {
-            log::warn!(
-                "{address} is open: whoever reaches it can pose as a robot and change the map"
-            );
+            if !is_keyed {
+                log::warn!(
+                    "{address} is open: whoever reaches it can pose as a robot and change the map"
+                );
+            }
             doors.extend(Door::open(address, stands)?);
         }
         log::info!("port {index} is {address}");
@@ -193,6 +215,7 @@ fn begin(
     let epoch = Epoch(random()?.max(1));
     let (keeper, mut life) = keeper::open(store, resolution, epoch)?;
     life.first_session = Some(random()?);
+    life.salt = Some(u64::from(random()?) << 32 | u64::from(random()?));
     Ok((keeper, life))
 }
 

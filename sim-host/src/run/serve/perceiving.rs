@@ -65,6 +65,9 @@ pub(super) fn start(
         if made.send(Ok(())).is_err() {
             return;
         }
+        // The last known pose of each camera.
+        let pose = |number| observer.standing(number).and_then(|(_, it)| it.pose().copied());
+        let mut stood: Vec<_> = (0..numbers.len()).map(pose).collect();
         loop {
             let Some(Arrived { frame, at }) = cameras.take_within(CHECK_INTERVAL) else {
                 if feed.send(Message::Idle) {
@@ -78,8 +81,13 @@ pub(super) fn start(
             let frame = Frame { camera: number, ..frame };
             let (observation, fault) = observer.observe(&frame, now, told.get());
             let observation = Observation { camera, ..observation };
+            let mut moves = Vec::new();
+            while let Some((captured, number, change)) = observer.poll_change() {
+                let now = observer.standing(number).and_then(|(_, it)| it.pose().copied());
+                moves.push((captured, change, std::mem::replace(&mut stood[number], now)));
+            }
             let events = std::iter::from_fn(|| observer.poll_event()).collect();
-            let perceived = Perceived { observation, events, fault, arrived: at };
+            let perceived = Perceived { observation, events, moves, fault, arrived: at };
             if !feed.send(Message::Perceived(Box::new(perceived))) {
                 return;
             }

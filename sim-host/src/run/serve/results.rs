@@ -136,7 +136,7 @@ pub(super) fn outcome(
         Caption { subject: "live".into(), seed: None, time_s: Some(now.micros() as f64 / 1e6) };
     let placed: Vec<Calibration> =
         cameras.iter().filter(|it| it.is_placed).map(|it| it.calibration).collect();
-    let views = markers::cameras(&placed);
+    let views = markers::cameras(placed.iter().map(|camera| (camera, true)));
     let robots = server.whereabouts(deployment.server_time(now)).map(|(robot, pose)| Marker {
         radius_m: markers::radius_m(deployment, robot),
         label: robot.0.to_string(),

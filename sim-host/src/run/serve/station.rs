@@ -4,7 +4,7 @@ use std::{sync::Arc, time};
 
 use log::Level;
 use ubimap_protocol::{
-    frame::MAX_FRAME,
+    frame::{Key, MAX_FRAME},
     message::Stop,
     time::{Duration, Instant},
     units::{Millimetres, RobotId},
@@ -21,7 +21,7 @@ use super::{
 };
 use crate::{
     channel::intake::{Arrival, Feed},
-    deployment::{Config, Deployment, Event, Life},
+    deployment::{Config, Deployment, Event, Life, Policy},
     perception::{Observer, robots::RegistryError},
     report::ServeReport,
     run::{Outcome, RunError, control::Request, deployment_file::DeployedCamera, keeper::Keeper},
@@ -51,6 +51,9 @@ pub struct Station {
     stops: u32,
 }
 
+/// Links and sockets, and the robots' keys, if they are sealed.
+pub(super) type Connections = ((Vec<Attached>, Vec<Door>), Option<Vec<(RobotId, Key)>>);
+
 /// Who sees the robots.
 enum Eyes {
     /// The bench's stand-in for cameras.
@@ -68,7 +71,8 @@ struct Watch {
 }
 
 impl Station {
-    /// Starts a deployment on a bench, without cameras. Its records go to the keeper, if there is one.
+    /// Starts a deployment on a bench, without cameras. With `keys` all of its ports are keyed. Its
+    /// records go to the keeper, if there is one.
     ///
     /// # Errors
     /// [`RunError::Port`] if no thread can be started; [`RunError::Registry`], which a deployment
@@ -76,23 +80,24 @@ impl Station {
     pub fn new(
         resolution: Millimetres,
         life: Life,
-        wires: Vec<Attached>,
-        doors: Vec<Door>,
+        (wires, doors): (Vec<Attached>, Vec<Door>),
+        keys: Option<Vec<(RobotId, Key)>>,
         keeper: Option<Keeper>,
     ) -> Result<Self, RunError> {
         let config = Config::new(resolution);
         let eyes = Eyes::Bench(BenchCamera::default());
-        Self::with(config, life, (wires, doors), keeper, (eyes, time::Instant::now()))
+        Self::with(config, life, ((wires, doors), keys), keeper, (eyes, time::Instant::now()))
     }
 
     /// Starts a deployment with cameras. Those of `config` are not used: perception runs in a thread.
+    /// With keys all ports are keyed.
     ///
     /// # Errors
     /// [`RunError::Port`] if a socket can't be opened or a thread not started; [`RunError::Registry`].
     pub(super) fn live(
         config: Config,
         life: Life,
-        links: (Vec<Attached>, Vec<Door>),
+        links: Connections,
         keeper: Option<Keeper>,
         deployed: Vec<DeployedCamera>,
     ) -> Result<Self, RunError> {
@@ -118,7 +123,7 @@ impl Station {
     fn with(
         config: Config,
         life: Life,
-        (wires, doors): (Vec<Attached>, Vec<Door>),
+        ((wires, doors), keys): Connections,
         keeper: Option<Keeper>,
         (eyes, started): (Eyes, time::Instant),
     ) -> Result<Self, RunError> {
@@ -127,7 +132,11 @@ impl Station {
             Eyes::Bench(_) => Level::Info,
             Eyes::Cameras(_) => Level::Debug,
         };
-        let links = Links::open(wires, doors, &mut deployment, level)?;
+        let policy = if keys.is_some() { Policy::Keyed } else { Policy::Open };
+        for (robot, key) in keys.into_iter().flatten() {
+            deployment.set_key(robot, key);
+        }
+        let links = Links::open(wires, doors, policy, &mut deployment, level)?;
         let buffer = vec![0; 4 * MAX_FRAME];
         Ok(Self { deployment, links, keeper, eyes, started, buffer, stops: 0 })
     }
@@ -209,8 +218,12 @@ impl Station {
         match message {
             Message::Idle => {}
             Message::Perceived(perceived) => {
-                let Perceived { observation, events, fault, arrived } = *perceived;
+                let Perceived { observation, events, moves, fault, arrived } = *perceived;
+                let camera = observation.camera;
                 self.deployment.observe(observation);
+                for (captured, change, before) in moves {
+                    self.deployment.camera_moved(captured, camera, change, before.as_ref());
+                }
                 for (captured, event) in events {
                     self.deployment.sighting_event(captured, event);
                 }

@@ -1,7 +1,7 @@
 //! Handshakes: who gets a session, and who keeps it.
 
 use ubimap_protocol::{
-    frame::{MAX_FRAME, MIN_VERSION, VERSION},
+    frame::{Direction, MAX_FRAME, MIN_VERSION, VERSION, cobs, seal},
     link::{Endpoint, Fill, Received, Terms},
     message::{Hello, RefusalReason, State, Stop, ToRobotMessage, ToServer},
     tile::{Epoch, TileId},
@@ -10,7 +10,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    server::{Command, CommandError, Event, MAX_ROBOTS, Server},
+    server::{Command, CommandError, Event, MAX_ROBOTS, Policy, Server},
     timing::SESSION_SILENT,
 };
 
@@ -73,6 +73,36 @@ fn a_new_session_cancels_a_pending_reset() {
     assert_eq!(server.poll_timeout(0, Instant(2)), None);
 }
 
+/// What is dropped is counted, and said with its reason, but not more often than the limit allows.
+#[test]
+fn what_is_dropped_is_counted_and_said() {
+    let mut server = Server::new(TERMS, 1);
+    server.receive(0, &hello(5), Instant(0)).unwrap();
+    let session = server.session_at(0).unwrap();
+    // A datagram with a message of a kind unknown, and a State that ends early.
+    let contents = [&[0, 0x30][..], &[200, 1, 1], &[4, 1, 1]].concat();
+    let mut out = [0u8; MAX_FRAME];
+    let parts = [&contents[..], &seal(session, Direction::ToServer, &contents)];
+    let len = cobs::encode(parts, &mut out).unwrap();
+    server.receive(0, &out[..len], Instant(0)).unwrap();
+    for _ in 0..30 {
+        server.receive(0, &[7, 7, 0], Instant(1)).unwrap();
+    }
+    let counted = server.message_counters(0);
+    assert_eq!((counted.unknown, counted.malformed, server.link_counters(0).bad), (1, 1, 30));
+    let said = core::iter::from_fn(|| server.poll_event()).map(|(_, event)| event.to_string());
+    let said: Vec<String> = said.skip(1).collect();
+    assert_eq!(
+        said[..3],
+        [
+            "port 0: ignored a message of kind 200, which this version does not know",
+            "port 0: ignored a malformed State (kind 4, 1 bytes)",
+            "port 0: dropped a frame: the frame is truncated: its last block is incomplete",
+        ]
+    );
+    assert_eq!(said.len(), 22);
+}
+
 /// A robot that moved to another port gets its commands again, and its reports are not lost.
 #[test]
 fn the_session_of_a_closed_port_continues_on_another() {
@@ -86,7 +116,7 @@ fn the_session_of_a_closed_port_continues_on_another() {
     assert!(server.receive(0, &[0], Instant(1)).is_err() && server.robot_at(0).is_none());
     assert_eq!(server.command(RobotId(1), stop), Err(CommandError::NoSession(RobotId(1))));
 
-    let port = server.open_port();
+    let port = server.open_port(Policy::Open);
     assert_eq!((port, server.ports().collect::<Vec<_>>()), (1, vec![1]));
     server.receive(port, &hello(6), Instant(2)).unwrap();
     let mut out = [0u8; MAX_FRAME];

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use image::{GrayImage, RgbImage};
+use nalgebra::Isometry3;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
@@ -14,7 +15,7 @@ use super::{
     scene::{Part, Scene},
 };
 use crate::{
-    camera::{Calibration, CalibrationError, DepthImage, DepthNoise, Intrinsics, Picture},
+    camera::{Calibration, CalibrationError, DepthImage, DepthNoise, Intrinsics, Lens, Picture},
     world::{
         mounting::Mounting,
         room::Room,
@@ -25,7 +26,10 @@ use crate::{
 
 /// A depth sensor with a picture sensor beside it.
 pub(in super::super) struct FrameCamera {
+    /// The sensors as they were calibrated.
     calibration: Calibration,
+    /// The sensors where they really are.
+    truth: Calibration,
     config: CameraConfig,
     dice: ChaCha8Rng,
     /// Bytes per pixel of a picture.
@@ -64,8 +68,10 @@ impl FrameCamera {
             mounting.lens(picture.left_m, intrinsics(picture.width, picture.height, fields))?;
         let DepthConfig { baseline_m, noise_px, .. } = config.depth;
         let depth_noise = DepthNoise::stereo(depth.intrinsics().fx, baseline_m, noise_px)?;
+        let calibration = Calibration { depth: Some(depth), depth_noise, picture: Some(picture) };
         Ok(Self {
-            calibration: Calibration { depth: Some(depth), depth_noise, picture: Some(picture) },
+            calibration,
+            truth: calibration,
             config: config.clone(),
             dice,
             channels: if in_colour { 3 } else { 1 },
@@ -77,6 +83,27 @@ impl FrameCamera {
     pub(in super::super) fn calibration(&self) -> Calibration {
         let depth = self.calibration.depth.filter(|_| self.has_depth());
         Calibration { depth, ..self.calibration }
+    }
+
+    /// The pose of the depth sensor as it was calibrated.
+    pub(in super::super) fn stated_pose(&self) -> Option<&Isometry3<f64>> {
+        self.calibration.pose()
+    }
+
+    /// Moves the camera to another pose of its depth sensor, of which its calibration knows nothing.
+    pub(in super::super) fn stand(&mut self, pose: &Isometry3<f64>) {
+        if self.truth.pose() == Some(pose) {
+            return;
+        }
+        // A pose in a scenario is finite.
+        if let Ok(truth) = self.calibration.at(*pose) {
+            self.truth = truth;
+            if let (Some(drawing), Some(depth), Some(picture)) =
+                (&mut self.drawing, &truth.depth, &truth.picture)
+            {
+                drawing.stand(depth, picture);
+            }
+        }
     }
 
     /// Whether the depth images are published.
@@ -105,8 +132,7 @@ impl FrameCamera {
 
     /// The drawing of a room, rendered if necessary.
     fn drawing(&mut self, room: &Arc<Room>) -> Option<&mut Drawing> {
-        let Calibration { depth: Some(depth), picture: Some(picture), .. } = &self.calibration
-        else {
+        let Calibration { depth: Some(depth), picture: Some(picture), .. } = &self.truth else {
             return None;
         };
         match &mut self.drawing {
@@ -160,6 +186,13 @@ impl Drawing {
             Picture::Colour(RgbImage::from_raw(width, height, bytes).unwrap_or_default())
         };
         (depth, picture)
+    }
+
+    /// Redraws the room as its sensors see it from another place.
+    fn stand(&mut self, depth: &Lens, picture: &Lens) {
+        self.depth.pinhole = Pinhole::new(depth);
+        self.picture.pinhole = Pinhole::new(picture);
+        self.redraw(|sensor| vec![sensor.pinhole.whole()]);
     }
 
     /// Redraws the regions where a new room differs from the last one.

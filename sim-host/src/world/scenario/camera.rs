@@ -52,6 +52,10 @@ pub struct CameraConfig {
     pub lost_frames: f64,
     /// Time of failure, after which no more frames arrive.
     pub fails_at_s: Option<f64>,
+    /// Movements after the calibration, which nobody tells the server, in order of time. Frames follow
+    /// them; ideal cameras stay in their place.
+    #[serde(default)]
+    pub knocks: Vec<KnockConfig>,
     /// Whether it has a depth sensor. Without one it localises robots but reports no cells (Ahmed et al.,
     /// 2.2).
     #[serde(default = "defaults::has_depth")]
@@ -85,11 +89,35 @@ impl CameraConfig {
             latency_jitter_ms: defaults::latency_jitter_ms(),
             lost_frames: defaults::lost_frames(),
             fails_at_s: None,
+            knocks: Vec::new(),
             has_depth: defaults::has_depth(),
             depth: DepthConfig::default(),
             picture: PictureConfig::default(),
         }
     }
+}
+
+/// A movement of a camera that was calibrated: a knock or a drift.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct KnockConfig {
+    /// When it begins.
+    pub at_s: f64,
+    /// Its duration: zero for a knock, long for a drift.
+    #[serde(default)]
+    pub over_s: f64,
+    /// The change of the position in `map`.
+    #[serde(default)]
+    pub shift_m: [f64; 3],
+    /// The change of the heading, counter-clockwise.
+    #[serde(default)]
+    pub heading_deg: f64,
+    /// The change of the downward tilt.
+    #[serde(default)]
+    pub tilt_deg: f64,
+    /// The change of the roll, by which the right side of the image is lowered.
+    #[serde(default)]
+    pub roll_deg: f64,
 }
 
 /// A stereo depth sensor; defaults to an Intel RealSense D435.

@@ -209,6 +209,23 @@ impl Scenario {
         if let Some(moment) = camera.fails_at_s {
             self.number(&format!("{key}.fails_at_s"), moment, 0.0..=86_400.0)?;
         }
+        let mut from = 0.0;
+        for (index, knock) in camera.knocks.iter().enumerate() {
+            let key = format!("{key}.knocks[{index}]");
+            self.number(&format!("{key}.at_s"), knock.at_s, from..=86_400.0)?;
+            self.number(&format!("{key}.over_s"), knock.over_s, 0.0..=86_400.0)?;
+            for metres in knock.shift_m {
+                self.number(&format!("{key}.shift_m"), metres, -10.0..=10.0)?;
+            }
+            for (name, degrees) in [
+                ("heading_deg", knock.heading_deg),
+                ("tilt_deg", knock.tilt_deg),
+                ("roll_deg", knock.roll_deg),
+            ] {
+                self.number(&format!("{key}.{name}"), degrees, -180.0..=180.0)?;
+            }
+            from = knock.at_s;
+        }
         let (depth, key_of) = (&camera.depth, |name: &str| format!("{key}.depth.{name}"));
         self.pixels(&key_of("width"), depth.width)?;
         self.pixels(&key_of("height"), depth.height)?;

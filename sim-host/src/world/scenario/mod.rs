@@ -14,7 +14,7 @@ use serde::Deserialize;
 
 use crate::files;
 
-pub use camera::{CameraConfig, DepthConfig, PictureConfig};
+pub use camera::{CameraConfig, DepthConfig, KnockConfig, PictureConfig};
 pub use robot::{
     MarkerConfig, OdometryConfig, RobotConfig, RouteConfig, SensorConfig, SensorPreset, StartConfig,
 };

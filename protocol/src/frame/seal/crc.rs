@@ -1,4 +1,4 @@
-//! The seal of a frame: a checksum that accepts undamaged frames of this session only.
+//! The seal of an open link: a checksum that accepts undamaged frames of this session only.
 //!
 //! It is a CRC-32, which is enough on a trusted wire. It also covers the session and the direction,
 //! which are not transmitted, so that frames of other sessions and a sender's own echo fail the

@@ -1,0 +1,126 @@
+//! A link to a process over its standard input and output.
+
+use std::{
+    io::{self, Read, Write},
+    process::{Child, ChildStdin, Command, Stdio},
+    sync::{Arc, Mutex, mpsc},
+    thread,
+    time::Duration,
+};
+
+use super::wire::{Wire, WireError, WireReader, WireWriter};
+
+/// Bytes read from the process at once.
+const CHUNK: usize = 4_096;
+
+/// A running process; it is killed when both ends are dropped.
+#[derive(Debug)]
+struct Process {
+    name: String,
+    child: Mutex<Child>,
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if let Ok(child) = self.child.get_mut() {
+            // It may have ended by itself.
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Output {
+    process: Arc<Process>,
+    chunks: mpsc::Receiver<Vec<u8>>,
+    /// Bytes that have not been read yet.
+    rest: Vec<u8>,
+}
+
+#[derive(Debug)]
+struct Input {
+    process: Arc<Process>,
+    stdin: ChildStdin,
+}
+
+/// Starts a command by the shell `sh`, and returns the link to it. Its standard error is the caller's.
+///
+/// # Errors
+/// [`WireError::Open`].
+pub fn start(command: &str) -> Result<Wire, WireError> {
+    let open = |reason: io::Error| WireError::Open {
+        name: command.to_owned(),
+        reason: reason.to_string(),
+    };
+    let mut child = Command::new("sh")
+        // So that the process itself, and not the shell, is killed.
+        .args(["-c", &format!("exec {command}")])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .map_err(open)?;
+    let (Some(stdin), Some(mut stdout)) = (child.stdin.take(), child.stdout.take()) else {
+        return Err(open(io::Error::other("it has no standard input and output")));
+    };
+    let (send, chunks) = mpsc::channel();
+    // It ends with the process's output.
+    let reading = thread::Builder::new().name("process-read".into()).spawn(move || {
+        let mut buffer = [0; CHUNK];
+        while let Ok(count @ 1..) = stdout.read(&mut buffer) {
+            if send.send(buffer[..count].to_vec()).is_err() {
+                return;
+            }
+        }
+    });
+    reading.map_err(open)?;
+    let process = Arc::new(Process { name: command.to_owned(), child: Mutex::new(child) });
+    let reader = Output { process: Arc::clone(&process), chunks, rest: Vec::new() };
+    Ok(Wire { reader: Box::new(reader), writer: Box::new(Input { process, stdin }) })
+}
+
+impl WireReader for Output {
+    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, WireError> {
+        if self.rest.is_empty() {
+            match self.chunks.recv_timeout(wait) {
+                Ok(chunk) => self.rest = chunk,
+                Err(mpsc::RecvTimeoutError::Timeout) => return Ok(0),
+                Err(mpsc::RecvTimeoutError::Disconnected) => {
+                    return Err(WireError::HungUp { name: self.process.name.clone() });
+                }
+            }
+        }
+        let count = self.rest.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&self.rest[..count]);
+        self.rest.drain(..count);
+        Ok(count)
+    }
+}
+
+impl WireWriter for Input {
+    fn write(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+        let written = self.stdin.write_all(bytes).and_then(|()| self.stdin.flush());
+        written.map_err(|_| WireError::HungUp { name: self.process.name.clone() })
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_cross_both_ways_and_an_end_is_told() {
+        let Wire { mut reader, mut writer } = start("head -c 3").unwrap();
+        writer.write(&[1, 0, 255]).unwrap();
+        let mut arrived = Vec::new();
+        let mut buffer = [0; 2];
+        let end = loop {
+            match reader.read_within(&mut buffer, Duration::from_secs(5)) {
+                Ok(count) => arrived.extend_from_slice(&buffer[..count]),
+                Err(error) => break error,
+            }
+        };
+        assert_eq!(arrived, [1, 0, 255]);
+        assert!(matches!(end, WireError::HungUp { .. }), "{end}");
+    }
+}

@@ -1,0 +1,68 @@
+//! The conformance runner: plays one side of the protocol, and checks the other.
+//!
+//! A [`Check`] enforces a rule of SPEC.md. It talks to the implementation under test over a [`Bench`]: a
+//! wire with the wall clock, or a peer in the same process with virtual time. Frames and messages are
+//! written by the codec of the protocol crate, but sessions, acknowledgements and retransmissions are
+//! the runner's own, because it must be able to misbehave. It knows nothing of what it tests beyond its
+//! answers.
+//!
+//! [`Describer`] puts captured bytes into words; failures show the last frames with it.
+
+mod bench;
+mod check;
+mod checks;
+mod describe;
+mod followed;
+mod frames;
+mod report;
+mod robot_side;
+mod server_side;
+mod talk;
+
+pub use bench::{Bench, Gone};
+pub use check::{Check, CheckResult, Halt, Role, Verdict};
+pub use checks::checks;
+pub use describe::{Describer, hex, split};
+pub use frames::{Frame, Note, Unreadable, part_note, payload, stuffed, tile_note, unstuffed};
+pub use report::ConformanceReport;
+pub use talk::Talk;
+
+/// Runs the checks of a role whose numbers are in `only` (all if it is empty), and tells each result.
+pub fn run(
+    bench: &mut dyn Bench,
+    role: Role,
+    only: &[usize],
+    mut tell: impl FnMut(&CheckResult),
+) -> ConformanceReport {
+    let began = bench.now();
+    let mut talk = Talk::new(bench, role);
+    let mut results = Vec::new();
+    let mut gone = None;
+    for (number, check) in (1..).zip(checks(role)) {
+        if !only.is_empty() && !only.contains(&number) {
+            continue;
+        }
+        talk.rest();
+        let start = talk.now();
+        let ended = gone.clone().map_or_else(|| (check.run)(&mut talk), Err);
+        let verdict = match ended {
+            Ok(()) => Verdict::Passed,
+            Err(Halt::Skipped(reason)) => Verdict::Skipped(reason),
+            Err(Halt::Failed { expected, found }) => {
+                Verdict::Failed { expected, found, frames: talk.shown() }
+            }
+            Err(Halt::Gone(reason)) => {
+                let found = reason.to_string();
+                gone = Some(Halt::Gone(reason));
+                let expected = format!("a {role} to talk to");
+                Verdict::Failed { expected, found, frames: talk.shown() }
+            }
+        };
+        let Check { name, section, rule, .. } = *check;
+        let seconds = talk.now().since(start).micros() / 1_000_000;
+        let result = CheckResult { number, name, section, rule, verdict, seconds };
+        tell(&result);
+        results.push(result);
+    }
+    ConformanceReport::new(role, results, talk.now().since(began))
+}

@@ -1,0 +1,15 @@
+//! Whether a fixed camera still is where it was calibrated.
+//!
+//! A [`View`] is what a camera sees of the room that does not move, as planes. Aligning a depth image
+//! with it gives the [`Motion`] of the camera since the view was learnt, with the information on each
+//! direction: a floor tells height, tilt and roll; walls and furniture tell the rest. A [`Steadiness`]
+//! decides from the motions of some seconds: a camera that was knocked is out of use until its new pose
+//! is known, and one that drifts is followed.
+
+mod motion;
+mod standing;
+mod view;
+
+pub use motion::Motion;
+pub use standing::{Change, Standing, Steadiness};
+pub use view::View;

@@ -1,0 +1,96 @@
+//! `ubimap conformance`: plays one side of the protocol against an implementation, in real time.
+
+pub mod options;
+mod wire_bench;
+
+use std::{
+    net::SocketAddr,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+
+use self::{options::ConformanceOptions, wire_bench::WireBench};
+use super::RunError;
+use crate::{
+    channel::{
+        process,
+        serial::SerialPort,
+        udp::{UdpLink, UdpSocket},
+        wire::{Wire, WireError, WireReader, WireWriter},
+    },
+    conformance::{self, CheckResult, ConformanceReport, Role},
+};
+
+/// Runs the checks, and tells each result as it comes.
+///
+/// # Errors
+/// [`RunError::Port`] if the wire can't be opened, [`RunError::NoCheck`] if a number names none.
+pub fn run(
+    options: &ConformanceOptions,
+    tell: impl FnMut(&CheckResult),
+) -> Result<ConformanceReport, RunError> {
+    let role = options.role.into();
+    let checks = conformance::checks(role).len();
+    if let Some(&number) = options.only.iter().find(|&&number| number == 0 || number > checks) {
+        return Err(RunError::NoCheck { number, checks });
+    }
+    let mut bench = WireBench::new(open(options)?, options.slack);
+    Ok(conformance::run(&mut bench, role, &options.only, tell))
+}
+
+/// The list of checks for a role, a line for each.
+pub fn list(role: Role) -> String {
+    let checks = (1..).zip(conformance::checks(role));
+    let lines = checks.map(|(number, check)| {
+        format!("{number:>3} {:<30} SPEC {:<4} {}\n", check.name, check.section, check.rule)
+    });
+    lines.collect()
+}
+
+fn open(options: &ConformanceOptions) -> Result<Wire, WireError> {
+    let wire = &options.wire;
+    if let Some(path) = &wire.serial {
+        return Ok(SerialPort::open(path, options.baud)?.into_wire());
+    }
+    match (&wire.exec, wire.udp) {
+        (Some(command), _) => process::start(command),
+        (None, Some(address)) if Role::from(options.role) == Role::Server => {
+            Ok(UdpLink::open(address, None)?.into_wire())
+        }
+        (None, Some(address)) => {
+            let listener = Listener { socket: UdpSocket::bind(address)?, peer: Arc::default() };
+            Ok(Wire { reader: Box::new(listener.clone()), writer: Box::new(listener) })
+        }
+        (None, None) => Err(WireError::Open {
+            name: "conformance".into(),
+            reason: "give one of --serial, --udp and --exec".into(),
+        }),
+    }
+}
+
+/// A UDP socket at which a robot is expected: the first sender is the robot.
+#[derive(Clone, Debug)]
+struct Listener {
+    socket: UdpSocket,
+    peer: Arc<Mutex<Option<SocketAddr>>>,
+}
+
+impl WireReader for Listener {
+    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, WireError> {
+        let Some((from, bytes)) = self.socket.receive_within(wait)? else { return Ok(0) };
+        let peer = *self.peer.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(from);
+        if peer != from {
+            return Ok(0);
+        }
+        let count = bytes.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&bytes[..count]);
+        Ok(count)
+    }
+}
+
+impl WireWriter for Listener {
+    fn write(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+        let peer = *self.peer.lock().unwrap_or_else(PoisonError::into_inner);
+        peer.map_or(Ok(()), |peer| self.socket.peer(peer).write(bytes))
+    }
+}

@@ -1,0 +1,9 @@
+//! Peers of the conformance runner in the same process, under virtual time, and spoiled ones.
+
+mod peers;
+mod spoiled;
+mod virtual_bench;
+
+pub use peers::{RobotPeer, ServerPeer};
+pub use spoiled::{Context, Hooks, Spoiled, edit, without};
+pub use virtual_bench::{Peer, VirtualBench};

@@ -1,0 +1,117 @@
+//! The agent and the server as peers of the runner.
+
+use std::fmt;
+
+use ubimap_agent::{Bounds, Config, Memory, Robot, memory, sense::SensorModel};
+use ubimap_protocol::{
+    frame::{DEFAULT_FRAME, MAX_FRAME},
+    time::{Duration, Instant},
+    units::{Millimetres, Pose, RobotId},
+};
+use ubimap_sim_host::deployment::{Deployment, Policy, PortId};
+
+use super::virtual_bench::Peer;
+use crate::deployments::bare;
+
+const BOUNDS: Bounds = Bounds { readings: 64, fused_tiles: 16, ..Bounds::REFERENCE };
+/// Intervals of odometry and scans.
+const ODOMETRY: Duration = Duration::from_millis(50);
+const SCANS: Duration = Duration::from_millis(200);
+/// The door beside the robot opens and shuts this often, so that its map changes.
+const DOOR: u64 = 5_000_000;
+
+/// An agent that stands in a room with a door.
+pub struct RobotPeer {
+    robot: Robot<'static>,
+    next_odometry: Instant,
+    next_scan: Instant,
+}
+
+impl fmt::Debug for RobotPeer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("RobotPeer")
+    }
+}
+
+impl Default for RobotPeer {
+    /// # Panics
+    /// Never: the memory fits its bounds.
+    fn default() -> Self {
+        let memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
+        let sensor = SensorModel::Radial { first: -1.6, step: 0.05 };
+        let config = Config { boot_nonce: 0x00B0_0700, ..Config::new(RobotId(7), sensor, BOUNDS) };
+        // It lives as long as the test.
+        let robot = Robot::new(config, Box::leak(memory)).expect("the memory fits its bounds");
+        Self { robot, next_odometry: Instant(0), next_scan: Instant(0) }
+    }
+}
+
+impl Peer for RobotPeer {
+    fn receive(&mut self, bytes: &[u8], now: Instant) {
+        self.robot.receive(bytes, now);
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Vec<u8>> {
+        let mut out = [0; DEFAULT_FRAME];
+        let len = self.robot.poll_transmit(now, &mut out)?;
+        Some(out[..len].to_vec())
+    }
+
+    fn poll_timeout(&self, _: Instant) -> Option<Instant> {
+        Some(self.robot.poll_timeout().min(self.next_odometry).min(self.next_scan))
+    }
+
+    fn timeout(&mut self, now: Instant) {
+        if self.next_odometry <= now {
+            self.next_odometry = now + ODOMETRY;
+            self.robot.odometry(now, Pose::default(), now);
+        }
+        if self.next_scan <= now {
+            self.next_scan = now + SCANS;
+            let is_open = now.micros() / DOOR % 2 == 1;
+            let range = |beam: usize| if is_open && beam < 20 { 1_500 } else { 1_100 };
+            let readings: [u16; BOUNDS.readings] = core::array::from_fn(range);
+            // The robot counts a refused scan.
+            let _ = self.robot.scan(now, &readings, now);
+        }
+        self.robot.timeout(now);
+    }
+}
+
+/// A deployment without cameras, with one port.
+#[derive(Debug)]
+pub struct ServerPeer {
+    deployment: Deployment,
+    port: PortId,
+}
+
+impl Default for ServerPeer {
+    fn default() -> Self {
+        let mut deployment = bare(Millimetres(50));
+        let port = deployment.open_port(Policy::Open);
+        Self { deployment, port }
+    }
+}
+
+impl Peer for ServerPeer {
+    /// # Panics
+    /// Never: the port is open.
+    fn receive(&mut self, bytes: &[u8], now: Instant) {
+        self.deployment.receive(self.port, bytes, now).expect("the port is open");
+    }
+
+    fn poll_transmit(&mut self, now: Instant) -> Option<Vec<u8>> {
+        let mut out = [0; MAX_FRAME];
+        let (_, len) = self.deployment.poll_transmit(now, &mut out)?;
+        Some(out[..len].to_vec())
+    }
+
+    fn poll_timeout(&self, now: Instant) -> Option<Instant> {
+        self.deployment.poll_timeout(now)
+    }
+
+    fn timeout(&mut self, now: Instant) {
+        self.deployment.timeout(now);
+        while self.deployment.poll_event().is_some() {}
+    }
+}
