@@ -39,7 +39,7 @@ pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 pub(crate) fn read_settings(path: &Path) -> io::Result<String> {
     let bytes = read(path, MAX_SETTINGS)?;
     String::from_utf8(bytes)
-        .map_err(|_| io::Error::other("not a text file, where settings in TOML are expected"))
+        .map_err(|_| io::Error::other("not a text file, where settings are expected"))
 }
 
 /// The error of content that exceeds a limit.

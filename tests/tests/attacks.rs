@@ -352,7 +352,7 @@ fn a_stranger_who_draws_where_nobody_else_has_been() {
         let now = room.now;
         if let Some(mut stranger) = RawRobot::try_connect(&mut room.server, 1, STRANGER, now) {
             let mut tile = Tile::UNKNOWN;
-            (0..32).for_each(|x| tile.set_cell(x, 5, Cell::Occupied));
+            (0..32).for_each(|x| tile.set(x, 5, Cell::Occupied));
             stranger.draw(&mut room.server, now, TileId { x: 40, y: 40 }, &tile);
         }
         knock(room, STRANGER, step);
