@@ -1129,7 +1129,7 @@ fn refused_payloads() -> Value {
 }
 
 fn refused_messages() -> Value {
-    let cases: [(&str, Direction, u8, &[u8]); 29] = [
+    let cases: [(&str, Direction, u8, &[u8]); 30] = [
         ("hello cut short", TO_SERVER, 1, &[1, 1, 1, 99, 0xFA, 1, 100]),
         (
             "hello, a nonce of more than 32 bits",
@@ -1187,6 +1187,7 @@ fn refused_messages() -> Value {
             &[0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x02, 0],
         ),
         ("refusal, a reason that there is not", TO_ROBOT, 5, &[99, 5, 0]),
+        ("refusal, a frame of 17 bits", TO_ROBOT, 5, &[99, 2, 0x80, 0x80, 0x04]),
         ("pose fix, too many earlier ones", TO_ROBOT, 4, &{
             let mut body = [0; 9 + 16];
             body[8] = 4;
