@@ -161,7 +161,7 @@ impl Bench {
     /// Tenths of a second in which a camera sees the robot standing at the origin of its odometry.
     fn live(&mut self, seconds: u64) {
         for tenth in 0..10 * seconds {
-            if tenth % 3 == 0 {
+            if tenth.is_multiple_of(3) {
                 let robots = vec![Sighting::usual(ROBOT, Pose::from_metres(0.1, 0.2, 0.0))];
                 // Free ground that comes into view and goes out of it.
                 let side = (self.now / 2_000_000 % 8) as i32 + 4;
