@@ -183,7 +183,7 @@ fn frames() -> Value {
             "handshake of another version",
             TO_SERVER,
             0,
-            Header { version: 7, ..header(FrameKind::Handshake, 0) },
+            Header { version: 3, ..header(FrameKind::Handshake, 0) },
             message::<ToServer>(&Hello { version: 7, min_version: 6, ..small_hello() }),
         ),
     ];
