@@ -122,7 +122,8 @@ impl Key {
     }
 }
 
-#[cfg(all(test, feature = "seals"))]
+#[cfg(test)]
+#[cfg(feature = "seals")]
 mod tests {
     use super::*;
 
