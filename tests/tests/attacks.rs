@@ -352,7 +352,9 @@ fn a_stranger_who_draws_where_nobody_else_has_been() {
         let now = room.now;
         if let Some(mut stranger) = RawRobot::try_connect(&mut room.server, 1, STRANGER, now) {
             let mut tile = Tile::UNKNOWN;
-            (0..32).for_each(|x| tile.set(x, 5, Cell::Occupied));
+            for (x, y) in (0..32).flat_map(|y| (0..32).map(move |x| (x, y))) {
+                tile.set(x, y, if y == 5 { Cell::Occupied } else { Cell::Free });
+            }
             stranger.draw(&mut room.server, now, TileId { x: 40, y: 40 }, &tile);
         }
         knock(room, STRANGER, step);
@@ -428,5 +430,8 @@ fn a_reset_in_a_silence() {
         }
     };
     assert_eq!(run(false, attack).0.sessions, 3);
-    costs_a_counter(attack);
+    let (outcome, _, robot) = run(true, attack);
+    assert_eq!(outcome, undisturbed(true));
+    // The forged one, and two Welcomes and a Reset.
+    assert!(robot.refused == 1 && robot.replayed >= 3, "{robot:?}");
 }

@@ -432,7 +432,8 @@ fn drop_frame<'a, D>(counters: &mut Counters, fault: FrameFault) -> Received<'a,
     }
 }
 
-#[cfg(all(test, feature = "seals"))]
+#[cfg(test)]
+#[cfg(feature = "seals")]
 mod sealed_tests;
 #[cfg(test)]
 mod tests;
