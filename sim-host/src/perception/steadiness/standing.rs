@@ -221,7 +221,8 @@ impl Steadiness {
                 self.recent = self.recent.with(&aligned.motion.faded(COUNTS));
                 let (joint, _) = self.recent.with(&self.words).estimate()?;
                 let pose = self.moved * transform(&joint);
-                if is_accused {
+                // Where a view tells a direction badly, one image is not enough.
+                if is_accused || is_beyond(&self.recent, KNOCK, CLEAR) {
                     Says::Moved(Aligned { pose, ..aligned })
                 } else {
                     Says::Steady(aligned)
