@@ -82,6 +82,11 @@ impl Describer {
         }
     }
 
+    /// Describes a frame that was read by another means.
+    pub(super) fn read_frame(&mut self, len: usize, frame: &Frame) -> String {
+        format!("{len:>4} bytes  {}", self.opened(frame))
+    }
+
     fn read(&self, contents: &[u8]) -> Result<Frame, Unreadable> {
         let directions = match self.direction {
             Some(direction) => vec![direction],

@@ -3,7 +3,10 @@
 use std::collections::VecDeque;
 
 use ubimap_protocol::{
-    frame::{Direction, FrameKind, SEQUENCE_MODULUS, SessionId, cobs::DELIMITER},
+    frame::{
+        Direction, FrameKind, MAX_SEALED_HANDSHAKE, MIN_FRAME, MIN_SEALED_FRAME, SEQUENCE_MODULUS,
+        SessionId, cobs::DELIMITER,
+    },
     message::{
         Ack, Body, Message, TimeReply, TimeRequest, ToRobot, ToRobotKind, ToServer, ToServerKind,
         Traffic,
@@ -15,6 +18,7 @@ use super::{
     bench::Bench,
     check::{Halt, Role, fail},
     describe::Describer,
+    envelope::Envelope,
     frames::{Frame, Note, Unreadable, unstuffed},
     robot_side::RobotSide,
     server_side::ServerSide,
@@ -110,7 +114,8 @@ pub struct Talk<'b> {
     pub(super) sequences: Vec<u16>,
     /// The acknowledgements of the session so far, with their times.
     pub(super) acks: Vec<(Instant, Ack)>,
-    log: VecDeque<(Instant, Direction, Vec<u8>)>,
+    log: VecDeque<(Instant, Direction, Vec<u8>, Option<Frame>)>,
+    envelope: Envelope,
     sessions: Vec<SessionId>,
     /// Number of questions asked.
     pub(super) asked: u16,
@@ -120,7 +125,11 @@ pub struct Talk<'b> {
 
 impl<'b> Talk<'b> {
     /// A conversation that begins.
-    pub(super) fn new(bench: &'b mut dyn Bench, role: Role) -> Self {
+    pub(super) fn new(bench: &'b mut dyn Bench, role: Role, envelope: Envelope) -> Self {
+        let mut robot = RobotSide::default();
+        if let Envelope::Keyed(keyed) = &envelope {
+            robot.robot = keyed.robot();
+        }
         Self {
             bench,
             role,
@@ -135,10 +144,11 @@ impl<'b> Talk<'b> {
             sequences: Vec::new(),
             acks: Vec::new(),
             log: VecDeque::new(),
+            envelope,
             sessions: Vec::new(),
             asked: 0,
             server: ServerSide::default(),
-            robot: RobotSide::default(),
+            robot,
         }
     }
 
@@ -154,11 +164,14 @@ impl<'b> Talk<'b> {
     pub(super) fn shown(&self) -> Vec<String> {
         let mut lines = Vec::new();
         let newest = self.log.iter().skip(self.log.len().saturating_sub(SHOWN));
-        for (at, direction, wire) in newest {
+        for (at, direction, wire, frame) in newest {
             let mut describer = Describer::new(None, Some(*direction));
             self.sessions.iter().for_each(|&session| describer.know(session));
             let sent = if *direction == self.outwards() { "sent" } else { "got" };
-            let text = describer.frame(wire);
+            let text = match frame {
+                Some(frame) => describer.read_frame(wire.len(), frame),
+                None => describer.frame(wire),
+            };
             lines.push(format!("{:>9.3} s {sent:>4} {text}", at.micros() as f64 / 1e6));
             lines.push(format!("{:>16} {}", "", super::describe::hex(wire)));
         }
@@ -211,19 +224,56 @@ impl Talk<'_> {
     /// Sends bytes as they are.
     pub(super) fn send_wire(&mut self, wire: Vec<u8>) -> Result<(), Halt> {
         self.bench.send(&wire)?;
-        self.remember(self.outwards(), wire);
+        self.remember(self.outwards(), wire, None);
         Ok(())
     }
 
-    fn remember(&mut self, direction: Direction, wire: Vec<u8>) {
+    fn remember(&mut self, direction: Direction, wire: Vec<u8>, frame: Option<Frame>) {
         if self.log.len() > 4 * SHOWN {
             self.log.pop_front();
         }
-        self.log.push_back((self.bench.now(), direction, wire));
+        self.log.push_back((self.bench.now(), direction, wire, frame));
     }
 
     pub(super) fn send(&mut self, frame: &Frame) -> Result<(), Halt> {
-        self.send_wire(frame.wire())
+        let wire = self.wire(frame);
+        self.bench.send(&wire)?;
+        self.remember(self.outwards(), wire, Some(frame.clone()));
+        Ok(())
+    }
+
+    /// The bytes of a frame on the wire.
+    pub(super) fn wire(&mut self, frame: &Frame) -> Vec<u8> {
+        self.envelope.wire(frame)
+    }
+
+    /// Whether frames are sealed with keys.
+    pub(super) fn is_keyed(&self) -> bool {
+        matches!(self.envelope, Envelope::Keyed(_))
+    }
+
+    /// The smallest frame that may be agreed on.
+    pub(super) fn min_frame(&self) -> u16 {
+        if self.is_keyed() { MIN_SEALED_FRAME as u16 } else { MIN_FRAME as u16 }
+    }
+
+    /// The longest frame of the handshake.
+    pub(super) fn max_handshake(&self) -> usize {
+        if self.is_keyed() { MAX_SEALED_HANDSHAKE } else { 36 }
+    }
+
+    /// Lets the next Reset name no frame.
+    pub(super) fn forget_echo(&mut self) {
+        if let Envelope::Keyed(keyed) = &mut self.envelope {
+            keyed.echo ^= 1;
+        }
+    }
+
+    /// Another boot of the runner as a robot.
+    pub(super) fn count_boot(&mut self) {
+        if let Envelope::Keyed(keyed) = &mut self.envelope {
+            keyed.attempt.boot += 1;
+        }
     }
 
     /// A frame of the session.
@@ -233,8 +283,14 @@ impl Talk<'_> {
 
     /// Sends messages outside any session.
     pub(super) fn handshake(&mut self, note: Note) -> Result<(), Halt> {
+        let frame = self.outside(note);
+        self.send(&frame)
+    }
+
+    /// A frame outside any session.
+    pub(super) fn outside(&self, note: Note) -> Frame {
         let to = self.outwards();
-        self.send(&Frame::new(SessionId::NONE, to, (FrameKind::Handshake, 0), &[note]))
+        Frame::new(SessionId::NONE, to, (FrameKind::Handshake, 0), &[note])
     }
 
     /// Sends messages in a datagram.
@@ -256,6 +312,21 @@ impl Talk<'_> {
         let frame = self.next_reliable(notes);
         self.send(&frame)?;
         Ok(frame.header.sequence)
+    }
+
+    /// Sends messages in a reliable frame until it is acknowledged, and fails if it is not.
+    pub(super) fn deliver(&mut self, notes: &[Note]) -> Result<(), Halt> {
+        let frame = self.next_reliable(notes);
+        for _ in 0..5 {
+            self.send(&frame)?;
+            if self.is_acknowledged(frame.header.sequence)? {
+                return Ok(());
+            }
+        }
+        fail(
+            "3.1: a reliable frame is acknowledged",
+            format!("frame {} was not", frame.header.sequence),
+        )
     }
 
     /// The sequence number of the next reliable frame.
@@ -305,10 +376,10 @@ impl Talk<'_> {
 
     fn arrive(&mut self, wire: Vec<u8>) -> Result<(), Halt> {
         let at = self.bench.now();
-        self.remember(self.inwards(), wire.clone());
-        let sessions = [self.session].into_iter().filter(|&it| it != SessionId::NONE);
+        let (inwards, session) = (self.inwards(), self.session);
         let frame = unstuffed(&wire).map_err(Unreadable::Stuffing);
-        let frame = frame.and_then(|it| Frame::read(&it, self.inwards(), sessions));
+        let frame = frame.and_then(|it| self.envelope.read(&it, inwards, session));
+        self.remember(inwards, wire.clone(), frame.clone().ok());
         let (notes, is_cut) = frame.as_ref().map(Frame::notes).unwrap_or_default();
         let seen = Seen { at, wire, frame, notes, is_cut };
         let is_of_session = seen.frame.as_ref().is_ok_and(|it| it.session != SessionId::NONE);
@@ -479,6 +550,17 @@ impl Talk<'_> {
             return fail(format!("{what}: not acknowledged"), format!("frame {sequence} was"));
         }
         Ok(())
+    }
+
+    /// As [`Talk::must_ignore`], with a frame that is sealed first.
+    pub(super) fn must_ignore_frame(
+        &mut self,
+        good: &Frame,
+        sent: &Frame,
+        what: &str,
+    ) -> Result<(), Halt> {
+        let wire = self.wire(sent);
+        self.must_ignore(good, wire, what)
     }
 
     fn answer_name(&self) -> String {

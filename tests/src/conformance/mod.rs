@@ -4,6 +4,6 @@ mod peers;
 mod spoiled;
 mod virtual_bench;
 
-pub use peers::{RobotPeer, ServerPeer};
+pub use peers::{KEY, RobotPeer, ServerPeer};
 pub use spoiled::{Context, Hooks, Spoiled, edit, without};
 pub use virtual_bench::{Peer, VirtualBench};

@@ -2,9 +2,9 @@
 
 use std::fmt;
 
-use ubimap_agent::{Bounds, Config, Memory, Robot, memory, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, Robot, Seal, memory, sense::SensorModel};
 use ubimap_protocol::{
-    frame::{DEFAULT_FRAME, MAX_FRAME},
+    frame::{DEFAULT_FRAME, Key, MAX_FRAME},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -33,13 +33,25 @@ impl fmt::Debug for RobotPeer {
     }
 }
 
+/// The robot of the peers, and its key.
+pub const KEY: (RobotId, Key) = (RobotId(7), Key::new([0x5A; 16]));
+
 impl Default for RobotPeer {
-    /// # Panics
-    /// Never: the memory fits its bounds.
     fn default() -> Self {
+        Self::new(None)
+    }
+}
+
+impl RobotPeer {
+    /// A robot that seals its link.
+    pub fn sealed() -> Self {
+        Self::new(Some(Seal { key: KEY.1, boot: 3 }))
+    }
+
+    fn new(seal: Option<Seal>) -> Self {
         let memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
         let sensor = SensorModel::Radial { first: -1.6, step: 0.05 };
-        let config = Config { boot_nonce: 0x00B0_0700, ..Config::new(RobotId(7), sensor, BOUNDS) };
+        let config = Config { boot_nonce: 0x00B0_0700, seal, ..Config::new(KEY.0, sensor, BOUNDS) };
         // It lives as long as the test.
         let robot = Robot::new(config, Box::leak(memory)).expect("the memory fits its bounds");
         Self { robot, next_odometry: Instant(0), next_scan: Instant(0) }
@@ -87,8 +99,20 @@ pub struct ServerPeer {
 
 impl Default for ServerPeer {
     fn default() -> Self {
+        Self::new(Policy::Open)
+    }
+}
+
+impl ServerPeer {
+    /// A server with a keyed port.
+    pub fn sealed() -> Self {
+        Self::new(Policy::Keyed)
+    }
+
+    fn new(policy: Policy) -> Self {
         let mut deployment = bare(Millimetres(50));
-        let port = deployment.open_port(Policy::Open);
+        deployment.set_key(KEY.0, KEY.1);
+        let port = deployment.open_port(policy);
         Self { deployment, port }
     }
 }

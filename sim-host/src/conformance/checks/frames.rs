@@ -10,8 +10,8 @@ use ubimap_protocol::{
 };
 
 use super::super::{
-    check::{Check, Halt, Role, fail},
-    frames::{Frame, Note, payload},
+    check::{Check, Halt, Role, fail, skip},
+    frames::{Frame, Note, payload, stuffed, unstuffed},
     talk::Talk,
 };
 
@@ -124,11 +124,11 @@ fn damaged(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.open()?;
     let question = talk.question();
     let frame = talk.next_reliable(&[question]);
-    let contents = frame.contents();
+    let contents = unstuffed(&talk.wire(&frame)).unwrap_or_default();
     for at in [0, 2, contents.len() - 5, contents.len() - 1] {
         let mut damaged = contents.clone();
         damaged[at] ^= 0x10;
-        let wire = super::super::frames::stuffed(&damaged);
+        let wire = stuffed(&damaged);
         talk.must_ignore(&frame, wire, &format!("a frame whose byte {at} is damaged"))?;
     }
     talk.send(&frame)?;
@@ -140,9 +140,9 @@ fn foreign_seal(talk: &mut Talk<'_>) -> Result<(), Halt> {
     let question = talk.question();
     let good = talk.next_reliable(&[question]);
     let other = Frame { session: SessionId(good.session.0 ^ 0x8000_0001), ..good.clone() };
-    talk.must_ignore(&good, other.wire(), "a frame sealed in another session")?;
+    talk.must_ignore_frame(&good, &other, "a frame sealed in another session")?;
     let echo = Frame { direction: talk.inwards(), ..good.clone() };
-    talk.must_ignore(&good, echo.wire(), "a frame sealed in the other direction")?;
+    talk.must_ignore_frame(&good, &echo, "a frame sealed in the other direction")?;
     talk.send(&good)?;
     if talk.is_answered()? {
         Ok(())
@@ -157,7 +157,7 @@ fn sealed_outside(talk: &mut Talk<'_>) -> Result<(), Halt> {
         let question = talk.question();
         let good = talk.frame(kind, talk.next_sequence(), &[question]);
         let outside = Frame { session: SessionId::NONE, ..good.clone() };
-        talk.must_ignore(&good, outside.wire(), "a frame of a session sealed in session 0")?;
+        talk.must_ignore_frame(&good, &outside, "a frame of a session sealed in session 0")?;
     }
     talk.must_answer("after a frame sealed in session 0")
 }
@@ -188,6 +188,9 @@ fn handshake_inside(talk: &mut Talk<'_>) -> Result<(), Halt> {
 }
 
 fn reserved_kind(talk: &mut Talk<'_>) -> Result<(), Halt> {
+    if talk.is_keyed() {
+        return skip("a header is sealed with the frame");
+    }
     talk.open()?;
     let question = talk.question();
     let good = talk.frame(FrameKind::Reliable, talk.next_sequence(), &[question]);
@@ -196,7 +199,7 @@ fn reserved_kind(talk: &mut Talk<'_>) -> Result<(), Halt> {
     contents.extend_from_slice(&good.payload);
     let tail = seal(talk.session, talk.outwards(), &contents);
     contents.extend_from_slice(&tail);
-    let wire = super::super::frames::stuffed(&contents);
+    let wire = stuffed(&contents);
     talk.must_ignore(&good, wire, "a frame of kind 3")?;
     talk.must_answer("after a frame of kind 3")
 }
@@ -207,7 +210,7 @@ fn frame_version(talk: &mut Talk<'_>) -> Result<(), Halt> {
         let question = talk.question();
         let good = talk.frame(FrameKind::Reliable, talk.next_sequence(), &[question]);
         let other = Frame { header: Header { version, ..good.header }, ..good.clone() };
-        talk.must_ignore(&good, other.wire(), &format!("a frame of version {version}"))?;
+        talk.must_ignore_frame(&good, &other, &format!("a frame of version {version}"))?;
     }
     talk.must_answer("after frames of other versions")
 }

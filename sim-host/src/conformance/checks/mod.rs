@@ -4,6 +4,7 @@ mod frames;
 mod reliable;
 mod robot_tiles;
 mod robots;
+mod seals;
 mod server_tiles;
 mod servers;
 
@@ -15,5 +16,8 @@ pub fn checks(role: Role) -> Vec<&'static Check> {
         Role::Robot => [robots::CHECKS, robot_tiles::CHECKS],
         Role::Server => [servers::CHECKS, server_tiles::CHECKS],
     };
-    [of_role[0], frames::CHECKS, reliable::CHECKS, of_role[1]].into_iter().flatten().collect()
+    [of_role[0], frames::CHECKS, reliable::CHECKS, of_role[1], seals::CHECKS]
+        .into_iter()
+        .flatten()
+        .collect()
 }

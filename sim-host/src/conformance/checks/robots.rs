@@ -160,9 +160,12 @@ fn hello(talk: &mut Talk<'_>) -> Result<(), Halt> {
     })?;
     let Some(seen) = seen else { return fail("another Hello within 7 s", "none") };
     let header = seen.frame.as_ref().ok().map(|frame| (frame.header.kind, frame.header.sequence));
-    if header != Some((FrameKind::Handshake, 0)) || seen.wire.len() > 36 {
+    if header != Some((FrameKind::Handshake, 0)) || seen.wire.len() > talk.max_handshake() {
         let found = format!("{header:?}, {} bytes", seen.wire.len());
-        return fail("a handshake frame with sequence number 0, at most 36 bytes", found);
+        return fail(
+            "a handshake frame with sequence number 0, at most 36 bytes (64 if sealed)",
+            found,
+        );
     }
     let Some(hello) = seen.bodies::<ToServer, Hello>().next() else { return skip("no Hello") };
     let is_sound = hello.version >= hello.min_version

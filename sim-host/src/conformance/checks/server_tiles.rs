@@ -218,8 +218,7 @@ fn parts(talk: &mut Talk<'_>) -> Result<(), Halt> {
     while start < 1_024 {
         let (note, end) =
             part_note::<ToServer>(Layer::Robot, of, start, (&Tile::UNKNOWN, &tile), 60);
-        talk.reliable(&[note])?;
-        talk.wait(Duration::from_millis(20))?;
+        talk.deliver(&[note])?;
         start = end;
     }
     digest_of(talk, id, 1, tile_hash(&tile))?;
@@ -406,12 +405,12 @@ fn requested(talk: &mut Talk<'_>) -> Result<(), Halt> {
 
 fn digests(talk: &mut Talk<'_>) -> Result<(), Halt> {
     published(talk, &room(16))?;
-    let seen = talk.collect(Duration::from_secs(14))?;
+    let seen = talk.collect(Duration::from_secs(24))?;
     let digests = seen.iter().flat_map(|it| it.bodies::<ToRobot, Digests>());
     let fused: Vec<TileDigest> =
         digests.filter(|it| it.layer == Layer::Fused).flat_map(|it| it.tiles).collect();
     if !fused.iter().any(|it| it.id == HERE) {
-        return fail("a Digest of the acknowledged tile within 14 s", format!("{fused:?}"));
+        return fail("a Digest of the acknowledged tile within 24 s", format!("{fused:?}"));
     }
     for TileDigest { id, stamp, hash } in fused {
         let held = talk.robot.followed.hash(Layer::Fused, id, stamp);
@@ -426,17 +425,18 @@ fn digests(talk: &mut Talk<'_>) -> Result<(), Halt> {
 }
 
 fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
-    for frame in [32, 33, 64, 250, 1_024] {
+    let min = talk.min_frame();
+    for frame in [min, min + 1, 64, 250, 1_024] {
         talk.join_server(|hello| hello.frame = frame)?;
         let (id, tile) = (ground(talk), noise(u32::from(frame)));
-        // Framing takes 8 bytes; kind, length, layer and seconds take 4.
-        let room = usize::from(frame).min(64) - 12;
+        // Framing takes 8 bytes, or 24; kind, length, layer and seconds take 4.
+        let framing = usize::from(min) - 24;
+        let room = usize::from(frame).min(64) - framing - 4;
         let (of, mut start) = ((id, stamp(talk, 1), None), 0);
         while start < 1_024 {
             let (note, end) =
                 part_note::<ToServer>(Layer::Robot, of, start, (&Tile::UNKNOWN, &tile), room);
-            talk.reliable(&[note])?;
-            talk.wait(Duration::from_millis(10))?;
+            talk.deliver(&[note])?;
             if end == start {
                 return skip("no cell fits a frame");
             }

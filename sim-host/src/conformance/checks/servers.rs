@@ -1,7 +1,7 @@
 //! Checks of a server's handshake and clock (SPEC 4 and 9).
 
 use ubimap_protocol::{
-    frame::{MAX_FRAME, MIN_FRAME, MIN_VERSION, SessionId, VERSION},
+    frame::{FrameKind, MAX_FRAME, MIN_VERSION, SessionId, VERSION},
     message::{Hello, RefusalReason, Reset, TimeReply, TimeRequest, ToRobot, ToServer, Welcome},
     tile::TileId,
     time::{Duration, Instant},
@@ -10,7 +10,7 @@ use ubimap_protocol::{
 
 use super::super::{
     check::{Check, Halt, fail, skip},
-    frames::Note,
+    frames::{Frame, Note},
     robot_side::{Said, room},
     talk::Talk,
 };
@@ -127,10 +127,10 @@ fn welcome(talk: &mut Talk<'_>) -> Result<(), Halt> {
     let Some(seen) = seen else { return fail("a Welcome again", "none") };
     let is_sound = first.version == VERSION
         && first.session != SessionId::NONE
-        && first.frame >= MIN_FRAME as u16
+        && first.frame >= talk.min_frame()
         && first.frame <= hello.frame
         && first.server_epoch != 0
-        && seen.wire.len() <= 36;
+        && seen.wire.len() <= talk.max_handshake();
     if is_sound {
         return Ok(());
     }
@@ -150,6 +150,10 @@ fn hello_twice(talk: &mut Talk<'_>) -> Result<(), Halt> {
     }
     talk.enter(&first)?;
     talk.must_answer("in the session")?;
+    if talk.is_keyed() {
+        // Section 12 does not ask for an answer once the session has been heard.
+        return Ok(());
+    }
     let third = talk.must_welcome(&hello)?;
     if first.session != third.session || first.renumber != third.renumber {
         return fail(format!("{first:?} again, in the session"), format!("{third:?}"));
@@ -200,14 +204,15 @@ fn hello_resolution(talk: &mut Talk<'_>) -> Result<(), Halt> {
 fn hello_frame(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.open()?;
     let hello = talk.next_hello();
-    let least = RefusalReason::Frame(MIN_FRAME as u16);
-    must_refuse(talk, &Hello { frame: 31, ..hello }, least)?;
-    for frame in [32, 64, 250, 1_024, 5_000] {
+    let min = talk.min_frame();
+    let least = RefusalReason::Frame(min);
+    must_refuse(talk, &Hello { frame: min - 1, ..hello }, least)?;
+    for frame in [min, 64, 250, 1_024, 5_000] {
         let hello = talk.next_hello();
         let welcome = talk.must_welcome(&Hello { frame, ..hello })?;
         let most = frame.min(MAX_FRAME as u16);
-        if welcome.frame > most || welcome.frame < 32 || (frame == 32 && welcome.frame != 32) {
-            return fail(format!("a frame of 32 to {most} bytes"), format!("{}", welcome.frame));
+        if welcome.frame > most || welcome.frame < min || (frame == min && welcome.frame != min) {
+            return fail(format!("a frame of {min} to {most} bytes"), format!("{}", welcome.frame));
         }
     }
     Ok(())
@@ -266,10 +271,13 @@ fn offer(talk: &mut Talk<'_>) -> Result<(), Halt> {
         return fail("a session number of its own for another Hello", format!("{before:?} again"));
     }
     talk.must_answer("in the session that was offered")?;
-    talk.must_ignore(&old, old.wire(), "a frame of the session before")
+    talk.must_ignore_frame(&old, &old, "a frame of the session before")
 }
 
 fn offer_beside(talk: &mut Talk<'_>) -> Result<(), Halt> {
+    if talk.is_keyed() {
+        return skip("with keys, any good frame of an offer makes it the session");
+    }
     talk.open()?;
     let hello = talk.next_hello();
     let offered = talk.must_welcome(&hello)?;
@@ -278,9 +286,9 @@ fn offer_beside(talk: &mut Talk<'_>) -> Result<(), Halt> {
     let session = talk.session;
     talk.session = offered.session;
     let question = talk.question();
-    let frame = talk.frame(ubimap_protocol::frame::FrameKind::Reliable, 0, &[question]);
+    let frame = talk.frame(FrameKind::Reliable, 0, &[question]);
     let ignored =
-        talk.must_ignore(&frame, frame.wire(), "a frame of an offer older than the session's last");
+        talk.must_ignore_frame(&frame, &frame, "a frame of an offer older than the session's last");
     talk.session = session;
     ignored?;
     talk.must_answer("in the session, after a frame of an older offer")
@@ -293,7 +301,15 @@ fn resets(talk: &mut Talk<'_>, span: Duration) -> Result<Vec<Instant>, Halt> {
     let end = talk.now() + span;
     let mut times = Vec::new();
     while talk.now() < end {
-        talk.send_wire(BAD.to_vec())?;
+        let bad = match talk.is_keyed() {
+            // Sealed, but in no session of the server.
+            true => {
+                let frame = talk.frame(FrameKind::Datagram, 0, &[]);
+                talk.wire(&Frame { session: SessionId(0x7777_7777), ..frame })
+            }
+            false => BAD.to_vec(),
+        };
+        talk.send_wire(bad)?;
         let seen = talk.collect(Duration::from_millis(20))?;
         times.extend(
             seen.iter().filter(|it| it.bodies::<ToRobot, Reset>().next().is_some()).map(|it| it.at),
@@ -356,6 +372,7 @@ fn renumber(talk: &mut Talk<'_>) -> Result<(), Halt> {
     }
     talk.must_answer("in a session")?;
     talk.reboot();
+    talk.count_boot();
     talk.open()?;
     if talk.robot.welcome.is_some_and(|welcome| welcome.renumber) {
         return Ok(());

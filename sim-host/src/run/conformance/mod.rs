@@ -6,11 +6,11 @@ mod wire_bench;
 use std::{
     net::SocketAddr,
     sync::{Arc, Mutex, PoisonError},
-    time::Duration,
+    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use self::{options::ConformanceOptions, wire_bench::WireBench};
-use super::RunError;
+use super::{RunError, keys};
 use crate::{
     channel::{
         process,
@@ -18,7 +18,7 @@ use crate::{
         udp::{UdpLink, UdpSocket},
         wire::{Wire, WireError, WireReader, WireWriter},
     },
-    conformance::{self, CheckResult, ConformanceReport, Role},
+    conformance::{self, CheckResult, ConformanceReport, Keys, Role},
 };
 
 /// Runs the checks, and tells each result as it comes.
@@ -34,8 +34,19 @@ pub fn run(
     if let Some(&number) = options.only.iter().find(|&&number| number == 0 || number > checks) {
         return Err(RunError::NoCheck { number, checks });
     }
+    let keys = keys(options)?;
     let mut bench = WireBench::new(open(options)?, options.slack);
-    Ok(conformance::run(&mut bench, role, &options.only, tell))
+    Ok(conformance::run(&mut bench, role, (&keys, &options.only), tell))
+}
+
+/// The keys of the link, with numbers that were never used with them: a random salt, and the time as
+/// the boot.
+fn keys(options: &ConformanceOptions) -> Result<Keys, RunError> {
+    let Some(folder) = &options.keys else { return Ok(Keys::None) };
+    let keys = keys::load(folder)?;
+    let salt = getrandom::u64().map_err(RunError::Randomness)? >> 1;
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    Ok(Keys::Of { keys, salt, boot: since.as_secs() as u32 })
 }
 
 /// The list of checks for a role, a line for each.

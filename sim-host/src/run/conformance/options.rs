@@ -18,6 +18,10 @@ pub struct ConformanceOptions {
     #[arg(long, value_enum, default_value_t = RoleName::Robot)]
     pub role: RoleName,
 
+    /// Seal the link with the keys in this folder (ubimap keys); to a server the runner is the first robot
+    #[arg(long, value_name = "DIR")]
+    pub keys: Option<PathBuf>,
+
     /// Run these checks only, by their numbers in --list
     #[arg(long, value_name = "N,M", value_delimiter = ',')]
     pub only: Vec<usize>,
