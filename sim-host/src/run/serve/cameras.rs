@@ -78,7 +78,7 @@ impl Cameras {
             let sink = Sink { all: Arc::clone(&all), index, began, name: camera.name.clone() };
             match &camera.source {
                 CameraSource::Folder(folder, speed) => {
-                    let frames = RecordedFrames::open_unplaced(&[folder.clone()]);
+                    let frames = RecordedFrames::open_unplaced(std::slice::from_ref(folder));
                     let refuse = |error: crate::recording::FramesError| WireError::Open {
                         name: camera.name.clone(),
                         reason: error.to_string(),
