@@ -42,6 +42,13 @@ pub(crate) fn read_settings(path: &Path) -> io::Result<String> {
         .map_err(|_| io::Error::other("not a text file, where settings are expected"))
 }
 
+/// What is wrong with a text in TOML, in one line that names its line.
+pub(crate) fn toml_fault(error: &toml::de::Error, text: &str) -> String {
+    let before = error.span().map_or(0, |span| span.start.min(text.len()));
+    let line = 1 + text.as_bytes()[..before].iter().filter(|it| **it == b'\n').count();
+    format!("line {line}: {}", error.message().lines().collect::<Vec<_>>().join(" "))
+}
+
 /// The error of content that exceeds a limit.
 pub(crate) fn too_large(limit: u64) -> io::Error {
     io::Error::other(format!("larger than {} MB, the limit for such a file", limit >> 20))

@@ -118,8 +118,12 @@ impl System {
         line.and_then(|line| line.split(' ').next()?.parse().ok()).unwrap_or(0.0)
     }
 
-    /// Stops the robots, ends all processes and compares the results with the truth.
+    /// Calls the robots back into the cameras' view, stops them, ends all processes and compares the
+    /// results with the truth.
     fn finish(self, rig: Process, server: Process, robots: Vec<Process>) -> Results {
+        self.wait_for("robot 1 to turn back", || self.ask(&["go", "1", "0.9", "1.2"]).is_some());
+        self.wait_for("robot 2 to turn back", || self.ask(&["go", "2", "1.2", "2.6"]).is_some());
+        thread::sleep(Duration::from_secs(25));
         self.ask(&["stop"]).unwrap();
         // They brake, and report where they stand.
         thread::sleep(Duration::from_secs(6));

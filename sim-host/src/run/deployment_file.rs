@@ -152,11 +152,7 @@ impl DeploymentFile {
     }
 
     fn parse(path: &Path, beside: &Path, text: &str) -> Result<Self, String> {
-        let keys: Keys = toml::from_str(text).map_err(|error| {
-            let before = error.span().map_or(0, |span| span.start.min(text.len()));
-            let line = 1 + text.as_bytes()[..before].iter().filter(|it| **it == b'\n').count();
-            format!("line {line}: {}", error.message().lines().collect::<Vec<_>>().join(" "))
-        })?;
+        let keys: Keys = toml::from_str(text).map_err(|error| files::toml_fault(&error, text))?;
         let poses = match &keys.poses {
             Some(poses) => {
                 let poses = beside.join(poses);

@@ -150,11 +150,7 @@ impl RobotFile {
     /// The problem as text, in one line.
     fn read(path: &Path) -> Result<Self, String> {
         let text = files::read_settings(path).map_err(|error| error.to_string())?;
-        let file: Self = toml::from_str(&text).map_err(|error| {
-            let before = error.span().map_or(0, |span| span.start.min(text.len()));
-            let line = 1 + text.as_bytes()[..before].iter().filter(|it| **it == b'\n').count();
-            format!("line {line}: {}", error.message().lines().collect::<Vec<_>>().join(" "))
-        })?;
+        let file: Self = toml::from_str(&text).map_err(|error| files::toml_fault(&error, &text))?;
         let bounds = [
             ("radius_m", file.radius_m, 0.05, 2.0),
             ("speed_m_s", file.speed_m_s, 0.05, 5.0),

@@ -162,15 +162,7 @@ impl Seen<'_> {
     }
 
     fn map(&self, map: &OccupancyGrid, coverage: &OccupancyGrid) -> SeenMap {
-        let counts = map.counts();
-        SeenMap {
-            resolution_m: map.resolution_m(),
-            known: counts.known as u64,
-            free: counts.free as u64,
-            occupied: counts.occupied as u64,
-            in_view: coverage.counts().known as u64,
-            digest: HexDigest(self.deployment.server().fused().digest().0),
-        }
+        SeenMap::new(map, coverage, HexDigest(self.deployment.server().fused().digest().0))
     }
 
     /// The figures of each camera. Warns of cameras that have contributed nothing.

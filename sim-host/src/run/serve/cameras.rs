@@ -78,7 +78,8 @@ impl Cameras {
             let sink = Sink { all: Arc::clone(&all), index, began, name: camera.name.clone() };
             match &camera.source {
                 CameraSource::Folder(folder, speed) => {
-                    let frames = RecordedFrames::open_with(&[folder.clone()], Reading::UNPLACED);
+                    let frames =
+                        RecordedFrames::open_with(std::slice::from_ref(folder), Reading::UNPLACED);
                     let refuse = |error: crate::recording::FramesError| WireError::Open {
                         name: camera.name.clone(),
                         reason: error.to_string(),

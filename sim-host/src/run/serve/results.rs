@@ -102,15 +102,7 @@ fn grids(deployment: &Deployment) -> Result<[OccupancyGrid; 2], RunError> {
 }
 
 fn seen(map: &OccupancyGrid, coverage: &OccupancyGrid, deployment: &Deployment) -> SeenMap {
-    let counts = map.counts();
-    SeenMap {
-        resolution_m: map.resolution_m(),
-        known: counts.known as u64,
-        free: counts.free as u64,
-        occupied: counts.occupied as u64,
-        in_view: coverage.counts().known as u64,
-        digest: HexDigest(deployment.server().fused().digest().0),
-    }
+    SeenMap::new(map, coverage, HexDigest(deployment.server().fused().digest().0))
 }
 
 /// The figures of the map at this time.
