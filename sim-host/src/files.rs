@@ -39,7 +39,14 @@ pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 pub(crate) fn read_settings(path: &Path) -> io::Result<String> {
     let bytes = read(path, MAX_SETTINGS)?;
     String::from_utf8(bytes)
-        .map_err(|_| io::Error::other("not a text file, where settings in TOML are expected"))
+        .map_err(|_| io::Error::other("not a text file, where settings are expected"))
+}
+
+/// What is wrong with a text in TOML, in one line that names its line.
+pub(crate) fn toml_fault(error: &toml::de::Error, text: &str) -> String {
+    let before = error.span().map_or(0, |span| span.start.min(text.len()));
+    let line = 1 + text.as_bytes()[..before].iter().filter(|it| **it == b'\n').count();
+    format!("line {line}: {}", error.message().lines().collect::<Vec<_>>().join(" "))
 }
 
 /// The error of content that exceeds a limit.

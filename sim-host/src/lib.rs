@@ -11,7 +11,8 @@
 //! 7. [`run`]: the drivers of a deployment, one file per `ubimap` command.
 //!
 //! Beside them: [`placement`] (where to hang cameras), [`calibration`] (where they
-//! hang), [`conformance`] (the runner that checks other implementations), [`channel`] (fault channel, serial ports),
+//! hang), [`conformance`] (the runner that checks other implementations), [`channel`] (fault channel, serial ports,
+//! sockets),
 //! [`store`] (layers on disk), [`recording`] (recorded logs and frames), [`report`] (figures and
 //! pictures) and [`timing`] (age limits of data). [`world`] is the simulated room, and [`devices`] are
 //! simulated sensors and wheels; only [`run`] may import them.
@@ -26,8 +27,8 @@
 //! `poll_timeout` and drain again.*
 //!
 //! The drivers differ only in their clocks: simulated time jumps from event to event
-//! ([`run::fleet`]), a recording uses its time stamps ([`run::watch`]), and serial ports use the
-//! wall clock ([`run::serve`]).
+//! ([`run::fleet`]), a recording uses its time stamps ([`run::watch`]), and live cameras and robots use
+//! the wall clock ([`run::serve`]).
 
 pub mod calibration;
 pub mod camera;

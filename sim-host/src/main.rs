@@ -19,16 +19,23 @@ use ubimap_sim_host::{
         calibrate::{self, options::CalibrateOptions},
         compare,
         conformance::{self, options::ConformanceOptions},
+        control::{ControlOptions, GoOptions, RobotsOptions},
         decode::{self, DecodeOptions},
+        init::{self, InitOptions},
         interruption, keys,
         options::{
             BackupOptions, CompareOptions, KeysOptions, ReplayOptions, ResultOptions, ServeOptions,
             SimulateOptions, Verbosity, WatchOptions,
         },
         place::{self, options::PlaceOptions},
-        replay, serve, simulate, terminal, watch,
+        replay,
+        robot::{self, RobotOptions},
+        serve, simulate, terminal, watch,
     },
 };
+
+#[cfg(target_os = "linux")]
+use ubimap_sim_host::run::rig::{self, RigOptions};
 
 /// Exit code of a failed run, including one whose maps have not converged.
 const FAILED: u8 = 1;
@@ -57,8 +64,23 @@ enum Command {
     Place(PlaceOptions),
     /// Find out where cameras hang, from landmarks that they see in common
     Calibrate(CalibrateOptions),
-    /// Serve real robots on serial ports
+    /// Serve cameras and robots, live
     Serve(ServeOptions),
+    /// Run a robot's program on a computer with serial ports
+    Robot(RobotOptions),
+    /// Play the outside world: a simulated room with cameras and robots' devices, for serve and robot
+    #[cfg(target_os = "linux")]
+    Rig(RigOptions),
+    /// Write a commented deployment for serve
+    Init(InitOptions),
+    /// Send a robot of the running server to a place
+    Go(GoOptions),
+    /// Stop a robot of the running server, or all
+    Stop(RobotsOptions),
+    /// Let a robot of the running server, or all, explore
+    Explore(RobotsOptions),
+    /// Show robots, cameras and map of the running server
+    Status(ControlOptions),
     /// Make, list and retire the keys of robots
     Keys(KeysOptions),
     /// Copy the file of --store, even while the server is running
@@ -89,8 +111,12 @@ fn main() -> ExitCode {
     }
     let level = match command {
         // It runs until stopped: its messages are its only output.
-        Command::Serve(_) if !verbosity.quiet && verbosity.verbose == 0 => LevelFilter::Info,
-        Command::Serve(_) if !verbosity.quiet => verbosity.level().max(LevelFilter::Debug),
+        Command::Serve(_) | Command::Robot(_) if !verbosity.quiet && verbosity.verbose == 0 => {
+            LevelFilter::Info
+        }
+        Command::Serve(_) | Command::Robot(_) if !verbosity.quiet => {
+            verbosity.level().max(LevelFilter::Debug)
+        }
         _ => verbosity.level(),
     };
     terminal::start_logging(level);
@@ -110,6 +136,14 @@ fn main() -> ExitCode {
         Command::Place(options) => place(&options),
         Command::Calibrate(options) => calibrate(&options),
         Command::Serve(options) => serve(&options),
+        Command::Robot(options) => robot::run(&options).map(|()| ExitCode::SUCCESS),
+        #[cfg(target_os = "linux")]
+        Command::Rig(options) => rig::run(&options).and_then(|it| answered(&json_pretty(&it))),
+        Command::Init(options) => init(&options),
+        Command::Go(options) => options.run().and_then(|answer| answered(&answer)),
+        Command::Stop(options) => options.run("stop").and_then(|answer| answered(&answer)),
+        Command::Explore(options) => options.run("explore").and_then(|answer| answered(&answer)),
+        Command::Status(options) => options.status().and_then(|answer| answered(&answer)),
         Command::Keys(options) => keys(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
@@ -188,6 +222,17 @@ fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     let report = serve::run(options)?;
     print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
     Ok(status(report.has_robot() || interruption::is_requested()))
+}
+
+fn init(options: &InitOptions) -> Result<ExitCode, RunError> {
+    let file = init::run(options)?;
+    let file = file.display();
+    answered(&format!("{file}: edit it, then run: ubimap serve {file} --open\n"))
+}
+
+fn answered(answer: &str) -> Result<ExitCode, RunError> {
+    print(answer)?;
+    Ok(ExitCode::SUCCESS)
 }
 
 fn backup(options: &BackupOptions) -> Result<ExitCode, RunError> {

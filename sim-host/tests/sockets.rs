@@ -7,11 +7,14 @@ use std::{
     time,
 };
 
-use ubimap_agent::{Bounds, Config, Memory, Robot, sense::SensorModel};
+use ubimap_agent::{Bounds, Config, Memory, Robot, Seal, sense::SensorModel};
 use ubimap_protocol::{time::Instant, units::RobotId};
 use ubimap_sim_host::{
     channel::{tcp, udp::UdpLink, wire::Wire},
-    run::heap::{BOUNDS, Heap},
+    run::{
+        heap::{BOUNDS, Heap},
+        keys,
+    },
 };
 
 const PATIENCE: time::Duration = time::Duration::from_secs(60);
@@ -112,6 +115,47 @@ fn robots_on_udp_and_tcp_share_a_server_and_one_that_hung_up_is_found_again() {
     robots.sort_unstable();
     assert_eq!(robots, [1, 2, 3], "{report}");
     assert!(ports.iter().all(|port| port["link"]["received"].as_u64() >= Some(3)), "{report}");
+}
+
+#[test]
+fn with_keys_only_robots_that_have_them_are_served() {
+    let folder = std::env::temp_dir().join(format!("ubimap-keys-{}", std::process::id()));
+    let keys = folder.to_str().unwrap();
+    let made = Command::new(env!("CARGO_BIN_EXE_ubimap"))
+        .args(["keys", "make", "7", "--dir", keys])
+        .output()
+        .unwrap();
+    assert!(made.status.success(), "{made:?}");
+    let (_, key) = keys::load(&folder).unwrap()[0];
+    let udp = free();
+    let server = serve(&[&format!("udp:{udp}"), "--keys", keys, "--pose", "1,2,3", "--json"]);
+    let started = time::Instant::now();
+    let mut memories = [7, 8].map(memory);
+    let [(sealed, a), (open, b)] = &mut memories;
+    let config = Config { seal: Some(Seal { key, boot: 1 }), ..*sealed };
+    let bench = |robot| {
+        let wire = UdpLink::open(udp, None).unwrap().into_wire();
+        Bench { robot, wire, started }
+    };
+    let mut stranger = bench(Robot::new(*open, b).unwrap());
+    let mut robot = bench(Robot::new(config, a).unwrap());
+    robot.turn_until("the robot has a pose", |robot| robot.pose().is_some());
+    // It knocks several times and gets no answer.
+    let until = time::Instant::now() + time::Duration::from_secs(1);
+    while time::Instant::now() < until {
+        stranger.turn();
+        robot.turn();
+    }
+    assert!(!stranger.robot.is_connected() && stranger.robot.link_counters().sent > 2);
+    let ended = Command::new("kill").args(["-TERM", &server.id().to_string()]).status().unwrap();
+    assert!(ended.success());
+    let output = server.wait_with_output().unwrap();
+    let [report, words] = [output.stdout, output.stderr].map(|it| String::from_utf8(it).unwrap());
+    assert!(!words.contains("is open"), "{words}");
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    let served = report["ports"].as_array().unwrap().iter().filter(|it| it["robot"] == 7);
+    assert_eq!(served.count(), 1, "{report}");
+    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]

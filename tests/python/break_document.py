@@ -51,6 +51,7 @@ EQUAL = [
     "w_changed, s_changed = x > 0 and changed[at - 1], y >= 0 and changed[at - 32]",
     "self.generations, self.replies, self.began = [], 0, 1",
     "return there - (total // 2 if total > 0 else -(-total // 2))",
+    "return there - (total // 2 if total >= 1 else -(-total // 2))",
 ]
 #: Breaks that only a coincidence of one in 2^24 or so would show, or a poll that comes late.
 RARE = [
@@ -71,7 +72,8 @@ def places():
         for first, block in spec.blocks(tag):
             for number in range(first, first + block.count("\n")):
                 line = lines[number].split("  #")[0]
-                if "2**62" in line:  # More than any time.
+                # A number above all others, and what a decoder ignores.
+                if "2**62" in line or "tile or dict(" in line:
                     continue
                 for pattern, change in BREAKS:
                     for found in re.finditer(pattern, line):

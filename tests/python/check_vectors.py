@@ -7,19 +7,16 @@ import re
 import sys
 from pathlib import Path
 
+import ubimap_seals as seals
 import ubimap_spec as spec
 import ubimap_wire as wire
+from follow_session import equal, session
 from ubimap_link import Knocking, Receiver, Sender
 from ubimap_map import RobotTiles, ServerTiles
 from ubimap_wire import Refused
 
 VECTORS = Path(__file__).resolve().parents[1] / "vectors"
 DIRECTIONS = wire.DIRECTIONS
-
-
-def equal(found, expected):
-    if found != expected:
-        raise AssertionError(f"{found!r} is not {expected!r}")
 
 
 def refused(action):
@@ -194,75 +191,6 @@ def repair(case):
         else:
             held = tiles.tiles.get((0, 0, step["epoch"]), wire.Replica())
         equal((held.version, wire.tile_hash(held.cells)), (step["version"], step["hash"]))
-
-
-class Listener:
-    """Both ends of a recorded session: what arrives at each."""
-
-    def __init__(self, case):
-        self.case, self.session, self.frame_size = case, 0, 1_024
-        self.windows = {direction: Receiver() for direction in DIRECTIONS.values()}
-        self.sent, self.asked, self.clock = {}, {}, wire.Clock()
-        self.own, self.server = RobotTiles(), ServerTiles(4)
-        self.server.begin(case["server_epoch"])
-        self.kinds = set()
-
-    def hear(self, at, direction, is_lost, raw):
-        assert len(raw) <= self.frame_size
-        version, kind, sequence, body = wire.read_frame(raw, direction, self.session)
-        equal(version, 1)
-        messages = wire.read_payload(body)
-        if kind == wire.RELIABLE:
-            # What is sent again is the same.
-            equal(self.sent.setdefault((direction, sequence), body), body)
-        for number, inner in messages:
-            if number == wire.NUMBERS[wire.TO_SERVER, "TimeRequest"] and direction == wire.TO_SERVER:
-                fields, _ = wire.read_message(direction, number, inner)
-                self.asked = {fields["nonce"]: at + self.case["robot_ahead"]}
-        if is_lost:
-            return
-        arrived = at + self.case["travel"]
-        if kind == wire.RELIABLE and self.windows[direction].arrive(sequence, arrived) != "new":
-            return
-        for number, inner in messages:
-            name = wire.NAMES[direction, number]
-            fields, rest = wire.read_message(direction, number, inner)
-            equal(wire.write_message(direction, number, fields) + rest, inner)
-            self.kinds.add(name)
-            self.take(direction, name, fields, rest, arrived)
-
-    def take(self, direction, name, fields, rest, now):
-        if name == "Welcome":
-            self.session, self.frame_size = fields["session"], fields["frame"]
-        elif name == "TimeReply" and fields["nonce"] in self.asked:
-            t0, t1 = self.asked.pop(fields["nonce"]), fields["received"]
-            self.clock.reply(t0, t1, t1 + fields["held_micros"], now + self.case["robot_ahead"])
-            assert abs(self.clock.ahead() + self.case["robot_ahead"]) <= 1
-        elif name == "Interest":
-            self.server.window = fields
-        elif name == "TileUpdate" and direction == wire.TO_SERVER:
-            self.own.update(rest)
-        elif name == "TileUpdate":
-            self.server.update(fields["layer"], rest)
-
-
-def session(case):
-    """A recorded session, followed from its bytes alone."""
-    listener = Listener(case)
-    for at, direction, fate, raw in case["frames"]:
-        listener.hear(at, DIRECTIONS[direction], fate == "lost", bytes.fromhex(raw))
-    assert len(listener.kinds) >= 15, listener.kinds
-    assert not listener.own.missing and not any(listener.server.missing.values())
-    held = {(x, y): tile for (x, y, _), tile in listener.own.tiles.items()}
-    for tiles, said in (
-        (held, case["own"]),
-        (listener.server.tiles["Fused"], case["fused"]),
-        (listener.server.tiles["Coverage"], case["coverage"]),
-    ):
-        assert said
-        for tile in said:
-            found = tiles[tile["x"], tile["y"]]
-            equal((found.version, wire.tile_hash(found.cells)), (tile["version"], tile["hash"]))
 
 
 def hellos(case):
@@ -481,7 +409,54 @@ def suites():
     yield refused_frame, bad["frames"]
     yield refused_payload, bad["payloads"]
     yield refused_message, bad["messages"]
+    sealed = load("seals")
+    yield sealed_hello, sealed["hellos"]
+    yield sealed_answer, sealed["answers"]
+    yield sealed_frame, sealed["sessions"]
+    yield sealed_arrivals, sealed["refused"]
     yield round_trip, [{"name": f"seed {seed}", "seed": seed} for seed in range(20)]
+
+
+def opened(case):
+    """The contents of a case's frame, and its key."""
+    return wire.unstuff(unhex(case, "wire")[:-1], 1024), unhex(case, "key")
+
+
+def sealed_hello(case):
+    contents, key = opened(case)
+    names = case["robot"], case["boot"], case["clock"]
+    equal(seals.hello(key, *names, unhex(case, "payload")), contents)
+    equal(seals.open_hello(key, contents), (*names, unhex(case, "payload")))
+    equal(seals.open_hello(bytes(16), contents), None)
+
+
+def sealed_answer(case):
+    contents, key = opened(case)
+    stamp, names = case["answers"], (case["robot"], case["salt"])
+    equal(seals.answer(key, *names, stamp, unhex(case, "payload")), contents)
+    equal(seals.open_answer(key, stamp, contents), (*names, unhex(case, "payload")))
+    equal(seals.open_answer(key, [1, 2], contents), None)
+
+
+def sealed_session(case):
+    fields = (case[name] for name in ("robot", "boot", "clock", "salt", "session"))
+    return seals.session_key(unhex(case, "key"), *fields), case["robot"], case["session"]
+
+
+def sealed_frame(case):
+    contents, _ = opened(case)
+    session, direction = sealed_session(case), DIRECTIONS[case["direction"]]
+    kind = {"reliable": 1, "datagram": 2}[case["kind"]]
+    payload = unhex(case, "payload")
+    frame = seals.frame(*session, direction, kind, case["sequence"], case["counter"], payload)
+    equal(frame, contents)
+
+
+def sealed_arrivals(case):
+    opener = seals.Opener(*sealed_session(case), DIRECTIONS["to server"])
+    for frame in case["frames"]:
+        found, _ = opener.receive(wire.unstuff(unhex(frame, "wire")[:-1], 1024))
+        equal((frame["name"], found), (frame["name"], frame["outcome"]))
 
 
 def main():

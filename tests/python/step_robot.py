@@ -1,12 +1,14 @@
 """Drives the small robot in virtual time, for a test: a line of JSON in, a line of JSON out.
 
-In: `{"now": microseconds, "bytes": [hex, ...]}`, or with "restart" (a new boot nonce) a new robot.
+In: `{"now": microseconds, "bytes": [hex, ...]}`, or with "restart" (a boot nonce, which is also
+the boot's number) a new robot, whose frames are sealed if there is a "key".
 Out: `{"frames": [hex, ...], "due": microseconds}`. After `"report": true` also what it holds.
 """
 
 import json
 import sys
 
+from ubimap_frames import SealedFrames
 from ubimap_robot import Robot
 from ubimap_wire import tile_hash
 
@@ -34,7 +36,9 @@ def main():
         step = json.loads(line)
         now = step["now"]
         if "restart" in step:
-            robot = Robot(7, step["restart"], now)
+            key = bytes.fromhex(step.get("key", ""))
+            frames = SealedFrames(7, key, step["restart"]) if key else None
+            robot = Robot(7, step["restart"], now, frames)
         for data in step.get("bytes", []):
             robot.receive(bytes.fromhex(data), now)
         frames = []

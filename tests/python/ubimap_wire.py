@@ -51,7 +51,7 @@ def read_frame(wire, direction, session, limit=1024):
     kind, payload = KINDS[word >> 11 & 3], contents[2:]
     if inside == (kind == HANDSHAKE):
         raise Refused("kind")
-    version = word >> 13
+    version = word >> 13 & 3  # Bit 15 is of sealed frames (12).
     if inside and version != VERSION:
         raise Refused("version")
     if not inside:

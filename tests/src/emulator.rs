@@ -330,6 +330,12 @@ pub fn image(name: &str, core: Core) -> Result<PathBuf, EmulatorError> {
     built(name, core, core.features())
 }
 
+/// Builds one of the agent's images for the M4 with sealed links, which the images for boards do
+/// without.
+pub fn sealed_image(name: &str) -> Result<PathBuf, EmulatorError> {
+    built(name, Core::M4, "firmware,seals")
+}
+
 fn built(name: &str, core: Core, features: &str) -> Result<PathBuf, EmulatorError> {
     let target = core.target();
     let mut cargo = compiler(target)?;

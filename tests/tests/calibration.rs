@@ -264,3 +264,44 @@ fn cameras_file(instance: &Instance) -> CamerasFile {
     });
     CamerasFile { cameras: cameras.collect() }
 }
+
+/// The squared errors of the positions and of the angles of all cameras, in their stated variances, in
+/// order.
+fn squared_sigmas(instances: &[Instance]) -> [Vec<f64>; 2] {
+    let mut squared = [Vec::new(), Vec::new()];
+    for Instance { observations, truth } in instances {
+        let options = Options { reference_pose: Some(truth[0]), ..Options::default() };
+        let found = calibrate(observations, &options).unwrap();
+        for (camera, truth) in found.cameras.iter().zip(truth).skip(1) {
+            let pose = camera.pose.unwrap();
+            let metres = (pose.translation.vector - truth.translation.vector).norm();
+            let radians = pose.rotation.angle_to(&truth.rotation);
+            squared[0].push((metres / camera.position_sigma_m()).powi(2));
+            squared[1].push((radians / camera.angle_sigma_rad()).powi(2));
+        }
+    }
+    squared.iter_mut().for_each(|it| it.sort_by(f64::total_cmp));
+    squared
+}
+
+/// Landmarks that were placed by a floor have its error in common, which the stated standard deviations
+/// cover. If these counted the landmarks as independent, the angles would be off by more.
+#[test]
+fn stated_deviations_cover_the_common_error_of_a_floor() {
+    let mut instances: Vec<Instance> = (0..40).map(instances::placed_by_floors).collect();
+    let summary = |squared: &[Vec<f64>; 2]| {
+        let median = squared.each_ref().map(|it| it[it.len() / 2]);
+        let mean = squared.each_ref().map(|it| it.iter().sum::<f64>() / it.len() as f64);
+        (median, mean)
+    };
+    let (median, mean) = summary(&squared_sigmas(&instances));
+    println!("squared errors in variances: median {median:.2?}, mean {mean:.2?}");
+    assert!(median.iter().all(|it| (0.5..2.0).contains(it)), "{median:?}");
+    assert!(mean.iter().all(|it| (0.7..1.4).contains(it)), "{mean:?}");
+    for camera in instances.iter_mut().flat_map(|it| &mut it.observations.cameras) {
+        camera.floor.as_mut().unwrap().places_landmarks = false;
+    }
+    let (as_independent, _) = summary(&squared_sigmas(&instances));
+    println!("as independent: median {as_independent:.2?}");
+    assert!(as_independent[0] > 2.0 * median[0], "{as_independent:?}");
+}

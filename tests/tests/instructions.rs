@@ -11,7 +11,7 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{
     data,
-    emulator::{Core, EmulatorError, count, image, leave_out, lines},
+    emulator::{Core, EmulatorError, count, image, leave_out, lines, sealed_image},
     updates::{Gathering, Update},
 };
 
@@ -65,6 +65,19 @@ fn no_stage_takes_more_than_its_bound() {
         Ok(table) => assert_eq!(bounded(&table), 29, "{table}"),
         Err(error) => leave_out("the stages' instruction counts", &error),
     }
+}
+
+#[test]
+#[ignore = "runs an image in the emulator: cargo thorough"]
+fn sealing_and_opening_a_frame_take_no_more_than_their_bound() {
+    let table = match sealed_image("bench").and_then(|image| count(&image, Vec::new())) {
+        Ok(table) => table,
+        Err(error) => return leave_out("the instruction counts of sealed frames", &error),
+    };
+    let frames: Vec<_> =
+        lines(&table).filter(|(_, name)| name.starts_with("a frame of 250 bytes")).collect();
+    assert_eq!(frames.len(), 2, "{table}");
+    frames.iter().for_each(|(number, name)| assert!(*number <= 40_000, "{name}: {number}"));
 }
 
 #[test]

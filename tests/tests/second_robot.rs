@@ -9,7 +9,7 @@ use std::{
 
 use serde_json::{Value, json};
 use ubimap_protocol::{
-    frame::MAX_FRAME,
+    frame::{Key, MAX_FRAME},
     link::Terms,
     message::{ParameterAction, ParameterCommand, ParameterValue, Path, Stop, Waypoint},
     tile::{Cell, Epoch, TileId, tile_hash},
@@ -19,7 +19,7 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
     channel::fault::{FaultWire, Faults},
-    server::{Command as Order, Server},
+    server::{Command as Order, Policy, Server},
 };
 use ubimap_tests::vectors::{folder, hex, unhex};
 
@@ -77,19 +77,37 @@ struct Bench {
     due: u64,
     now: u64,
     frame_size: usize,
+    key: Option<[u8; 16]>,
+}
+
+/// A server with one port, which is keyed if the robot has a key.
+fn server(terms: Terms, key: Option<[u8; 16]>) -> Server {
+    let mut server = Server::new(terms, 0);
+    let policy = key.map_or(Policy::Open, |key| {
+        server.set_key(ROBOT, Key::new(key));
+        Policy::Keyed
+    });
+    server.open_port(policy);
+    server
+}
+
+/// The step with which a life of the robot begins.
+fn boot(now: u64, number: u32, key: Option<[u8; 16]>) -> Value {
+    let key = key.map_or(String::new(), |key| hex(&key));
+    json!({ "now": now + AHEAD, "restart": number, "key": key })
 }
 
 const TERMS: Terms =
     Terms { resolution: Millimetres(50), frame: 250, server_epoch: 3, stores: false };
 
 impl Bench {
-    fn new(mut robot: Python, faults: Faults, terms: Terms) -> Self {
+    fn new(mut robot: Python, faults: Faults, terms: Terms, key: Option<[u8; 16]>) -> Self {
         let now = 1_000_000;
-        let told = robot.step(&json!({ "now": now + AHEAD, "restart": 99 }));
+        let told = robot.step(&boot(now, 99, key));
         let (up, down) = (FaultWire::new(faults, 1), FaultWire::new(faults, 2));
-        let server = Server::new(terms, 1);
+        let server = server(terms, key);
         let frame_size = terms.frame.into();
-        let mut bench = Self { server, robot, up, down, due: 0, now, frame_size };
+        let mut bench = Self { server, robot, up, down, due: 0, now, frame_size, key };
         bench.take(&told);
         bench
     }
@@ -98,7 +116,8 @@ impl Bench {
         for frame in told["frames"].as_array().unwrap() {
             let frame = unhex(frame.as_str().unwrap());
             // A hello may be longer than the agreed frame.
-            assert!(frame.len() <= self.frame_size.max(36), "{}", frame.len());
+            let greeting = if self.key.is_some() { 64 } else { 36 };
+            assert!(frame.len() <= self.frame_size.max(greeting), "{}", frame.len());
             self.up.send(Instant(self.now), &frame);
         }
         self.due = told["due"].as_u64().unwrap() - AHEAD;
@@ -142,7 +161,7 @@ impl Bench {
     /// Tenths of a second in which a camera sees the robot standing at the origin of its odometry.
     fn live(&mut self, seconds: u64) {
         for tenth in 0..10 * seconds {
-            if tenth % 3 == 0 {
+            if tenth.is_multiple_of(3) {
                 let robots = vec![Sighting::usual(ROBOT, Pose::from_metres(0.1, 0.2, 0.0))];
                 // Free ground that comes into view and goes out of it.
                 let side = (self.now / 2_000_000 % 8) as i32 + 4;
@@ -216,7 +235,7 @@ fn bad_line() -> Faults {
 #[test]
 fn the_robot_in_python_agrees_with_the_server() {
     let Some(python) = Python::start() else { return };
-    let mut bench = Bench::new(python, Faults::default(), TERMS);
+    let mut bench = Bench::new(python, Faults::default(), TERMS, None);
     bench.live(8);
     bench.server.command(ROBOT, Order::Stop(Stop { number: 1, stop: true })).unwrap();
     let waypoints = [Waypoint { x: Millimetres(400), y: Millimetres(200) }].into_iter().collect();
@@ -253,17 +272,17 @@ fn the_robot_in_python_agrees_with_the_server() {
 
 #[test]
 fn the_robot_in_python_agrees_over_a_bad_line_and_through_restarts() {
-    for frame in [250, 32] {
+    let key = Some([7; 16]);
+    for (frame, key) in [(250, None), (32, None), (250, key), (48, key)] {
         let Some(python) = Python::start() else { return };
         let terms = Terms { frame, ..TERMS };
-        let mut bench = Bench::new(python, bad_line(), terms);
+        let mut bench = Bench::new(python, bad_line(), terms, key);
         bench.live(25);
         // Another life of the server.
-        bench.server = Server::new(Terms { server_epoch: 4, ..terms }, 1);
+        bench.server = server(Terms { server_epoch: 4, ..terms }, key);
         bench.live(25);
         // Another life of the robot.
-        let now = bench.now + AHEAD;
-        let told = bench.robot.step(&json!({ "now": now, "restart": 12_345 }));
+        let told = bench.robot.step(&boot(bench.now, 12_345, key));
         bench.take(&told);
         bench.live(25);
         bench.up = FaultWire::new(Faults::default(), 3);

@@ -21,7 +21,7 @@ use ubimap_sim_host::{
     run::{
         Outcome,
         fleet::Fleet,
-        options::{ResultOptions, TrustFloor, WatchOptions},
+        options::{DepthUnit, ResultOptions, TrustFloor, WatchOptions},
         record::{Recorded, Recording},
         room_stage::RoomStage,
         simulate::{RESOLUTION, deployment_config},
@@ -93,6 +93,7 @@ fn watched_with(folder: &Path, trust_floor: TrustFloor) -> Outcome<WatchReport> 
         robots: None,
         trust_floor,
         obstacles: None,
+        unit: DepthUnit::default(),
         resolution: RESOLUTION,
         results: ResultOptions { out: PathBuf::new(), json: true },
     };

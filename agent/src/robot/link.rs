@@ -353,7 +353,8 @@ impl Knock {
     }
 }
 
-#[cfg(all(test, feature = "seals"))]
+#[cfg(test)]
+#[cfg(feature = "seals")]
 mod sealed_tests;
 #[cfg(test)]
 mod tests {

@@ -40,10 +40,10 @@ pub struct Counters {
     pub received: u32,
     /// Reliable frames received more than once.
     pub duplicates: u32,
-    /// Frames with wrong stuffing, a wrong length or, on an open link, a bad seal.
+    /// Frames with wrong stuffing or a wrong length, and without a good seal of either sort.
     pub bad: u32,
     /// Undamaged frames that violate the protocol: a malformed message, a sequence number outside
-    /// the window, an unsupported version; on a sealed link, a frame that is not sealed.
+    /// the window, an unsupported version; on a sealed link, a handshake frame of an open one.
     pub refused: u32,
     /// Sealed frames whose counter or attempt was accepted before, or is too old to tell.
     pub replayed: u32,
@@ -417,9 +417,7 @@ fn refuse<'a, D>(counters: &mut Counters, fault: FrameFault) -> Option<Received<
 
 fn drop_frame<'a, D>(counters: &mut Counters, fault: FrameFault) -> Received<'a, D> {
     let (count, stray) = match fault {
-        FrameFault::Stuffing(_) | FrameFault::Seal | FrameFault::Length => {
-            (&mut counters.bad, None)
-        }
+        FrameFault::Stuffing(_) | FrameFault::Seal | FrameFault::Shape => (&mut counters.bad, None),
         FrameFault::Replayed(stray) => (&mut counters.replayed, Some(stray)),
         FrameFault::Forged(stray) => (&mut counters.forged, Some(stray)),
         _ => {
@@ -434,7 +432,8 @@ fn drop_frame<'a, D>(counters: &mut Counters, fault: FrameFault) -> Received<'a,
     }
 }
 
-#[cfg(all(test, feature = "seals"))]
+#[cfg(test)]
+#[cfg(feature = "seals")]
 mod sealed_tests;
 #[cfg(test)]
 mod tests;

@@ -5,7 +5,7 @@ use core::fmt;
 use crate::frame::{MIN_VERSION, Stray, VERSION, cobs::CobsError};
 
 /// Why an endpoint dropped a frame, in the order of the checks (SPEC 2.6, 12.3). The first two and
-/// [`Length`](Self::Length) are counted as bad, the last two by their names, the others as refused.
+/// [`Shape`](Self::Shape) are counted as bad, the last two by their names, the others as refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameFault {
     /// The bytes between two delimiters are not a frame.
@@ -22,10 +22,10 @@ pub enum FrameFault {
     Version(u8),
     /// The sequence number of a reliable frame is outside the window.
     Sequence(u16),
-    /// On a sealed link, a frame that is not sealed.
+    /// On a sealed link, a handshake frame of an open one.
     Unsealed,
-    /// A sealed frame that is too short, or too long for one of a handshake.
-    Length,
+    /// A sealed frame of the reserved kind, or that is too short, or too long for a handshake.
+    Shape,
     /// A sealed frame of a session that was accepted before, or is too old to tell.
     Replayed(Stray),
     /// A sealed frame of a session that the session here does not open.
@@ -51,7 +51,7 @@ impl fmt::Display for FrameFault {
                 write!(f, "its sequence number {sequence} is outside the window")
             }
             Self::Unsealed => f.write_str("it is not sealed, and this link requires it"),
-            Self::Length => f.write_str("it has the wrong length for a sealed frame"),
+            Self::Shape => f.write_str("it has the wrong length or kind for a sealed frame"),
             Self::Replayed(stray) => {
                 let robot = stray.robot.0;
                 write!(f, "it names robot {robot}, and its counter was used before: a replay")

@@ -135,7 +135,8 @@ fn write<D: Traffic, const CLEAR: usize>(
     cobs::encode([&clear, sealed], out)
 }
 
-#[cfg(all(test, feature = "seals"))]
+#[cfg(test)]
+#[cfg(feature = "seals")]
 mod tests {
     use std::vec::Vec;
 

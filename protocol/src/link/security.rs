@@ -145,16 +145,18 @@ fn open_sealed<'f, D: Traffic>(
     frame: &'f mut [u8],
 ) -> Result<Opened<'f>, FrameFault> {
     if !is_sealed(frame) {
-        return Err(FrameFault::Unsealed);
+        // Noise, or a robot without a key: that is worth telling apart.
+        let is_open = open(SessionId::NONE, D::DIRECTION, frame).is_some();
+        return Err(if is_open { FrameFault::Unsealed } else { FrameFault::Seal });
     }
-    let (header, _) = Header::decode(frame).ok_or(FrameFault::Header)?;
+    let (header, _) = Header::decode(frame).ok_or(FrameFault::Shape)?;
     if header.kind == FrameKind::Handshake {
-        let handshake = SealedHandshake::parse(frame).ok_or(FrameFault::Length)?;
+        let handshake = SealedHandshake::parse(frame).ok_or(FrameFault::Shape)?;
         return Ok(Opened::SealedHandshake(handshake));
     }
     let (clear, rest) =
-        frame.split_first_chunk_mut::<SESSION_CLEAR_LEN>().ok_or(FrameFault::Length)?;
-    let (text, tag) = rest.split_last_chunk_mut::<TAG_LEN>().ok_or(FrameFault::Length)?;
+        frame.split_first_chunk_mut::<SESSION_CLEAR_LEN>().ok_or(FrameFault::Shape)?;
+    let (text, tag) = rest.split_last_chunk_mut::<TAG_LEN>().ok_or(FrameFault::Shape)?;
     let [_, _, robot @ .., low, high] = *clear;
     let stray = Stray { robot: RobotId(u16::from_le_bytes(robot)), echo: echo_of(tag) };
     let ours = sealed.as_mut().filter(|ours| ours.robot == stray.robot);

@@ -13,6 +13,8 @@ use super::{
 /// Maximum number of samples; below it, all triples are tried. With 40 % wrong labels 500 samples
 /// have 100 without a wrong one.
 const SAMPLES: usize = 500;
+/// The probability with which the samples may miss a set without wrong labels.
+const MISSED: f64 = 1e-9;
 /// Factors of the gate: a noise that was stated too small is noticed by the residuals.
 const WIDER: [f64; 3] = [1.0, 2.0, 4.0];
 /// Number of agreeing pairs from which their own scatter shrinks the gate.
@@ -33,11 +35,7 @@ pub(super) fn find(ties: &[Tie], options: &PairwiseOptions) -> Result<Vec<usize>
     let mut most = 0;
     for factor in WIDER {
         let gate = factor * options.gate_sigmas;
-        let best = samples
-            .iter()
-            .filter_map(|sample| Hypothesis::grow(ties, sample, gate))
-            .min_by(|a, b| a.cost.total_cmp(&b.cost));
-        let Some(best) = best else { return Err(PairFault::Line) };
+        let Some(best) = best(ties, &samples, gate) else { return Err(PairFault::Line) };
         most = most.max(best.agreeing.len());
         if best.agreeing.len() >= 3 && 2 * best.agreeing.len() > ties.len() {
             return Ok(best.narrowed(ties, gate).agreeing);
@@ -45,6 +43,31 @@ pub(super) fn find(ties: &[Tie], options: &PairwiseOptions) -> Result<Vec<usize>
     }
     let gate = options.gate_sigmas;
     Err(PairFault::Disagreement { agreeing: most, shared: ties.len(), gate })
+}
+
+/// The hypothesis with the least cost of as many samples as it takes to have surely had one without wrong
+/// ties, by the share of the ties that agree with the best one so far.
+fn best(ties: &[Tie], samples: &[Vec<usize>], gate: f64) -> Option<Hypothesis> {
+    let mut best: Option<Hypothesis> = None;
+    for (index, sample) in samples.iter().enumerate() {
+        if best.as_ref().is_some_and(|best| index >= enough(best.agreeing.len(), ties.len())) {
+            break;
+        }
+        let Some(found) = Hypothesis::grow(ties, sample, gate) else { continue };
+        if best.as_ref().is_none_or(|best| found.cost < best.cost) {
+            best = Some(found);
+        }
+    }
+    best
+}
+
+/// Number of triples after which one without wrong ties was missed with a probability of [`MISSED`]
+/// (Fischler and Bolles 1981), if so many of the ties are right.
+fn enough(right: usize, all: usize) -> usize {
+    let share = right as f64 / all as f64;
+    let good = share * share * share;
+    // With all of them right, the first sample, of all ties, is enough.
+    (MISSED.ln() / (-good).ln_1p()).ceil().max(1.0) as usize
 }
 
 /// A transform and the ties that agree with it.
@@ -123,4 +146,59 @@ fn samples(count: usize, seed: u64) -> Vec<Vec<usize>> {
         }
     }
     samples
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Point3, Vector3};
+
+    use super::*;
+    use crate::{
+        calibration::{observations::Landmark, point_noise::PointNoise},
+        camera::DepthNoise,
+    };
+
+    /// Ties of landmarks 3 m before both cameras with noise, of which every `wrong`th has a wrong label.
+    fn ties(count: usize, wrong: usize, seed: u64) -> Vec<Tie> {
+        let mut dice = ChaCha8Rng::seed_from_u64(seed);
+        let noise = PointNoise::new(0.004, DepthNoise::new(0.018, 0.0).unwrap()).unwrap();
+        let t_ij = Isometry3::new(Vector3::new(0.5, -0.2, 0.3), Vector3::new(0.2, 0.4, -0.1));
+        let mut draw = |half: f64| dice.random_range(-half..half);
+        let tie = |index: usize| {
+            let far = Point3::new(draw(1.5), draw(1.0), 3.0 + draw(0.5));
+            let mut near = t_ij.inverse() * far;
+            if index % wrong == 0 {
+                near += Vector3::new(draw(1.0), draw(1.0), draw(0.5));
+            }
+            let landmarks = [far, near].map(|it| {
+                let spread = Vector3::new(draw(0.007), draw(0.007), draw(0.03));
+                Landmark { position: it + spread, label: None, noise }
+            });
+            Tie::new([index, index], [&landmarks[0], &landmarks[1]])
+        };
+        (1..=count).map(tie).collect()
+    }
+
+    /// Fewer samples find the ties that all samples find.
+    #[test]
+    fn enough_samples_find_what_all_find() {
+        for seed in 0..60 {
+            for (count, wrong) in [(6, 100), (12, 100), (12, 5), (20, 4), (30, 3)] {
+                let ties = ties(count, wrong, seed);
+                let samples = samples(count, 1);
+                let gate = PairwiseOptions::default().gate_sigmas;
+                let all = samples.iter().filter_map(|it| Hypothesis::grow(&ties, it, gate));
+                let plain = all.min_by(|a, b| a.cost.total_cmp(&b.cost)).unwrap();
+                let found = best(&ties, &samples, gate).unwrap();
+                assert_eq!(found.agreeing, plain.agreeing, "{seed} {count} {wrong}");
+                assert!(found.agreeing.iter().filter(|it| (*it + 1) % wrong == 0).count() <= 1);
+            }
+        }
+    }
+
+    #[test]
+    fn the_number_of_samples_follows_the_share_of_right_ties() {
+        assert_eq!((enough(10, 10), enough(8, 10)), (1, 29));
+        assert!(enough(1, 10) > 20_000 && enough(0, 10) == usize::MAX);
+    }
 }

@@ -151,7 +151,8 @@ impl LandmarkFinder {
                 CameraObservations { name: name.clone(), ..CameraObservations::default() };
             match viewer.floor(&self.mounts) {
                 Ok(floor) => {
-                    camera.floor = Floor::new(floor.normal.into_inner(), floor.height_m);
+                    let stated = Floor::new(floor.normal.into_inner(), floor.height_m);
+                    camera.floor = stated.map(|it| Floor { places_landmarks: true, ..it });
                     for (captured, marker) in &viewer.markers {
                         if let Some(at) = viewer.place(marker, &floor, &self.mounts) {
                             let trails = trails.entry(marker.identifier).or_default();

@@ -47,6 +47,9 @@ pub struct Floor {
     pub normal_sigma_rad: f64,
     /// Standard deviation of the height, in metres.
     pub height_sigma_m: f64,
+    /// Whether the camera's landmarks were placed where their rays meet a height above this floor: then
+    /// its error is common to all of them.
+    pub places_landmarks: bool,
 }
 
 /// Why observations can't be used. The key is that of the file: `cameras[1].landmarks[3]`.
@@ -129,6 +132,7 @@ impl Floor {
             height_m,
             normal_sigma_rad: Self::NORMAL_SIGMA_RAD,
             height_sigma_m: Self::HEIGHT_SIGMA_M,
+            places_landmarks: false,
         })
     }
 

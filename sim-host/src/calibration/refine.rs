@@ -87,7 +87,9 @@ impl Problem<'_> {
         // With other weights than the inverse covariance, the noise passes through the estimate.
         let covariance = &inverse * weighted.noise(&poses) * &inverse;
         let noise_ratio = self.noise_ratio(&poses, covariance.nrows());
-        let scaled = covariance * (noise_ratio * noise_ratio);
+        // The residuals tell little of errors that are common to many landmarks.
+        let common = &inverse * weighted.common_noise(&poses) * &inverse;
+        let scaled = covariance * (noise_ratio * noise_ratio) + common;
         let columns = self.columns();
         let of_camera = |columns: &[Option<usize>; 6]| {
             Matrix6::from_fn(|row, column| match (columns[row], columns[column]) {
@@ -199,6 +201,14 @@ impl Term<'_> {
         let [i, j] = self.cameras;
         poses[i] * self.tie.point[0] - poses[j] * self.tie.point[1]
     }
+
+    /// The two cameras with the derivatives of the residual by their poses.
+    fn sides(&self, poses: &[Isometry3<f64>]) -> [(usize, Jacobian); 2] {
+        let [i, j] = self.cameras;
+        let [first, second] =
+            [(i, 0), (j, 1)].map(|(camera, side)| jacobian(&poses[camera], &self.tie.point[side]));
+        [(i, first), (j, -second)]
+    }
 }
 
 /// The residuals of a floor, weighted: its normal against the z axis (x and y), and its height.
@@ -219,10 +229,85 @@ fn floor_jacobian(floor: &Floor, pose: &Isometry3<f64>) -> Jacobian {
     jacobian
 }
 
+/// Two axes in the floor's plane, in the optical frame, towards which its normal may err.
+fn floor_axes(floor: &Floor) -> [Vector3<f64>; 2] {
+    let normal = floor.normal.into_inner();
+    let other = if normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+    let first = normal.cross(&other).normalize();
+    [first, normal.cross(&first)]
+}
+
+/// The derivatives of a landmark's position in the optical frame by the errors of the floor: of its normal
+/// along two axes, and of its height.
+///
+/// The landmark `p` lies on a fixed ray in the plane `n p + h = m`: with the errors it moves along the ray
+/// by `-p (dn p + dh) / (n p)`.
+fn placing_jacobian(floor: &Floor, axes: &[Vector3<f64>; 2], point: &Vector3<f64>) -> Matrix3<f64> {
+    let along = point / -floor.normal.dot(point);
+    Matrix3::from_columns(&[along * axes[0].dot(point), along * axes[1].dot(point), along])
+}
+
+/// The derivatives of [`floor_residual`] by the same errors.
+fn floor_slope(floor: &Floor, axes: &[Vector3<f64>; 2], pose: &Isometry3<f64>) -> Matrix3<f64> {
+    let [first, second] = axes.map(|axis| pose.rotation * axis / floor.normal_sigma_rad);
+    Matrix3::new(
+        first.x,
+        second.x,
+        0.0, //
+        first.y,
+        second.y,
+        0.0, //
+        0.0,
+        0.0,
+        -1.0 / floor.height_sigma_m,
+    )
+}
+
 impl Weighted<'_> {
-    /// `J^T W S W J` with the covariance S of the residuals: the normal equations' own noise.
+    /// `J^T W S W J` with the covariance S of the residuals that are independent: the normal equations'
+    /// own noise.
     fn noise(&self, poses: &[Isometry3<f64>]) -> DMatrix<f64> {
-        self.sum(poses, |term| term.weight * term.covariance * term.weight).1
+        let has_own_noise = |floor: &Floor| !floor.places_landmarks;
+        self.sum(poses, |term| term.weight * term.covariance * term.weight, has_own_noise).1
+    }
+
+    /// The same of the errors of floors by which landmarks were placed: `M S M^T`, where S is the
+    /// covariance of the floor and M the derivative of `J^T W r` by its error.
+    fn common_noise(&self, poses: &[Isometry3<f64>]) -> DMatrix<f64> {
+        let mut noise = DMatrix::zeros(self.parameters, self.parameters);
+        for (camera, floor) in self.floors.iter().enumerate() {
+            let Some(floor) = floor.filter(|floor| floor.places_landmarks) else { continue };
+            let axes = floor_axes(&floor);
+            let mut slopes = DMatrix::zeros(self.parameters, 3);
+            for term in self.terms.iter().filter(|term| term.cameras.contains(&camera)) {
+                let side = usize::from(term.cameras[1] == camera);
+                let sign = if side == 0 { 1.0 } else { -1.0 };
+                let shift = placing_jacobian(&floor, &axes, &term.tie.point[side].coords);
+                let turn = poses[camera].rotation.to_rotation_matrix();
+                let weighted = term.weight * turn.matrix() * shift * sign;
+                for (camera, jacobian) in term.sides(poses) {
+                    let slope = jacobian.transpose() * weighted;
+                    for (row, to_row) in self.free(camera) {
+                        for error in 0..3 {
+                            slopes[(to_row, error)] += slope[(row, error)];
+                        }
+                    }
+                }
+            }
+            let slope = floor_jacobian(&floor, &poses[camera]).transpose()
+                * floor_slope(&floor, &axes, &poses[camera]);
+            for (row, to_row) in self.free(camera) {
+                for error in 0..3 {
+                    slopes[(to_row, error)] += slope[(row, error)];
+                }
+            }
+            let sigmas = [floor.normal_sigma_rad, floor.normal_sigma_rad, floor.height_sigma_m];
+            for (mut column, sigma) in slopes.column_iter_mut().zip(sigmas) {
+                column *= sigma;
+            }
+            noise += &slopes * slopes.transpose();
+        }
+        noise
     }
 
     /// `J^T W r` and `J^T W J`, with these weights of the landmarks.
@@ -230,17 +315,14 @@ impl Weighted<'_> {
         &self,
         poses: &[Isometry3<f64>],
         weight: impl Fn(&Term<'_>) -> Matrix3<f64>,
+        counts: impl Fn(&Floor) -> bool,
     ) -> (DVector<f64>, DMatrix<f64>) {
         let mut gradient = DVector::zeros(self.parameters);
         let mut hessian = DMatrix::zeros(self.parameters, self.parameters);
         for term in &self.terms {
-            let [i, j] = term.cameras;
             let weight = weight(term);
             let weighted = weight * term.residual(poses);
-            let sides = [
-                (i, jacobian(&poses[i], &term.tie.point[0])),
-                (j, -jacobian(&poses[j], &term.tie.point[1])),
-            ];
+            let sides = term.sides(poses);
             for (camera, ours) in &sides {
                 let slope = ours.transpose() * weighted;
                 for (row, column) in self.free(*camera) {
@@ -257,7 +339,7 @@ impl Weighted<'_> {
             }
         }
         for (camera, floor) in self.floors.iter().enumerate() {
-            let Some(floor) = floor else { continue };
+            let Some(floor) = floor.as_ref().filter(|floor| counts(floor)) else { continue };
             let jacobian = floor_jacobian(floor, &poses[camera]);
             let slope = jacobian.transpose() * floor_residual(floor, &poses[camera]);
             let block = jacobian.transpose() * jacobian;
@@ -282,7 +364,7 @@ impl LeastSquares for Weighted<'_> {
     type State = Vec<Isometry3<f64>>;
 
     fn normal_equations(&self, poses: &Self::State) -> (DVector<f64>, DMatrix<f64>) {
-        self.sum(poses, |term| term.weight)
+        self.sum(poses, |term| term.weight, |_| true)
     }
 
     fn cost(&self, poses: &Self::State) -> f64 {

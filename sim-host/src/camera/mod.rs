@@ -10,6 +10,8 @@ mod depth_noise;
 mod error;
 mod frame;
 mod orientation;
+mod sender_clock;
+pub mod stream;
 mod thing;
 
 use ubimap_protocol::{
@@ -25,6 +27,7 @@ pub use depth_noise::DepthNoise;
 pub use error::CalibrationError;
 pub use frame::{DepthImage, Frame, FrameSource, Picture};
 pub use orientation::Orientation;
+pub use sender_clock::SenderClock;
 pub use thing::{LAYERS, Thing};
 
 /// The result of perception for one frame of one camera.

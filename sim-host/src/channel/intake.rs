@@ -34,13 +34,18 @@ pub struct SourceId(usize);
 
 /// Something that has arrived.
 #[derive(Debug)]
-pub struct Arrival {
-    /// Where.
-    pub source: SourceId,
-    /// When.
-    pub at: Instant,
-    /// What.
-    pub what: What,
+pub enum Arrival<M> {
+    /// Something from a port.
+    Port {
+        /// The port.
+        source: SourceId,
+        /// When.
+        at: Instant,
+        /// What.
+        what: What,
+    },
+    /// A message of another thread of the program.
+    Message(M),
 }
 
 /// The content of an arrival.
@@ -56,12 +61,29 @@ pub enum What {
     Failed(WireError),
 }
 
-/// The queue.
+/// The queue. Other threads of the program put messages of the type `M` into it.
 #[derive(Debug)]
-pub struct Intake {
+pub struct Intake<M> {
     next_source: usize,
-    feed: mpsc::SyncSender<Arrival>,
-    queue: mpsc::Receiver<Arrival>,
+    feed: mpsc::SyncSender<Arrival<M>>,
+    queue: mpsc::Receiver<Arrival<M>>,
+}
+
+/// Puts messages into an intake.
+#[derive(Debug)]
+pub struct Feed<M>(mpsc::SyncSender<Arrival<M>>);
+
+impl<M> Clone for Feed<M> {
+    fn clone(&self) -> Self {
+        Self(self.0.clone())
+    }
+}
+
+impl<M> Feed<M> {
+    /// Puts a message into the queue; waits while it is full. Returns whether the intake is still there.
+    pub fn send(&self, message: M) -> bool {
+        self.0.send(Arrival::Message(message)).is_ok()
+    }
 }
 
 /// A thread that waits at a port; it ends soon after this is dropped.
@@ -71,14 +93,14 @@ pub struct Listening {
     closed: Arc<AtomicBool>,
 }
 
-impl Default for Intake {
+impl<M> Default for Intake<M> {
     fn default() -> Self {
         let (feed, queue) = mpsc::sync_channel(QUEUED);
         Self { next_source: 0, feed, queue }
     }
 }
 
-impl Intake {
+impl<M: Send + 'static> Intake<M> {
     /// Listens to a wire.
     ///
     /// # Errors
@@ -113,8 +135,13 @@ impl Intake {
         })
     }
 
+    /// What other threads put messages into this queue with.
+    pub fn feed(&self) -> Feed<M> {
+        Feed(self.feed.clone())
+    }
+
     /// The oldest arrival; waits up to `wait` for one.
-    pub fn next_within(&self, wait: Duration) -> Option<Arrival> {
+    pub fn next_within(&self, wait: Duration) -> Option<Arrival<M>> {
         // This end of the queue has a feed of its own, so it is never disconnected.
         self.queue.recv_timeout(wait).ok()
     }
@@ -136,7 +163,7 @@ impl Intake {
                         Err(error) => What::Failed(error),
                     };
                     let is_last = matches!(what, What::Failed(_));
-                    let sent = feed.send(Arrival { source, at: Instant::now(), what });
+                    let sent = feed.send(Arrival::Port { source, at: Instant::now(), what });
                     if is_last || sent.is_err() {
                         return;
                     }
@@ -185,18 +212,23 @@ mod tests {
 
     #[test]
     fn a_slow_wire_holds_up_no_other() {
-        let mut intake = Intake::default();
+        let mut intake = Intake::<char>::default();
         let slow = intake.wire(Box::new(Slow(vec![Duration::from_secs(2)]))).unwrap();
         let quick = intake.wire(Box::new(Slow(vec![Duration::ZERO; 3]))).unwrap();
         let began = Instant::now();
+        let next = || match intake.next_within(WAIT).unwrap() {
+            Arrival::Port { source, what, .. } => (source, what),
+            Arrival::Message(message) => panic!("{message}"),
+        };
         for _ in 0..3 {
-            let arrival = intake.next_within(WAIT).unwrap();
-            assert_eq!(arrival.source, quick.source());
-            assert!(matches!(arrival.what, What::Bytes(bytes) if bytes == [1]));
+            let (source, what) = next();
+            assert_eq!(source, quick.source());
+            assert!(matches!(what, What::Bytes(bytes) if bytes == [1]));
         }
-        let last = intake.next_within(WAIT).unwrap();
-        assert!(matches!(last.what, What::Failed(WireError::HungUp { .. })));
+        assert!(matches!(next().1, What::Failed(WireError::HungUp { .. })));
         assert!(began.elapsed() < Duration::from_secs(1));
-        assert_eq!(intake.next_within(WAIT).unwrap().source, slow.source());
+        assert_eq!(next().0, slow.source());
+        assert!(intake.feed().send('m'));
+        while !matches!(intake.next_within(WAIT), Some(Arrival::Message('m'))) {}
     }
 }

@@ -29,6 +29,8 @@ pub enum CameraEventKind {
     Returned,
     /// It has drifted; its pose was corrected.
     Drifted,
+    /// It and another camera contradict each other, and it can't be told which was knocked. Both stay in use.
+    Disputed,
 }
 
 impl CameraEvent {
@@ -38,6 +40,7 @@ impl CameraEvent {
             Change::Knocked { pose, .. } => (CameraEventKind::Knocked, pose),
             Change::Returned(pose) => (CameraEventKind::Returned, Some(pose)),
             Change::Drifted(pose) => (CameraEventKind::Drifted, Some(pose)),
+            Change::Disputed => (CameraEventKind::Disputed, None),
         };
         let way = before.zip(pose).map(|(before, pose)| {
             let way = before.inv_mul(&pose);
@@ -50,7 +53,9 @@ impl CameraEvent {
     /// The log level of the event.
     pub fn level(&self) -> log::Level {
         match self.kind {
-            CameraEventKind::Knocked | CameraEventKind::Returned => log::Level::Warn,
+            CameraEventKind::Knocked | CameraEventKind::Returned | CameraEventKind::Disputed => {
+                log::Level::Warn
+            }
             CameraEventKind::Drifted => log::Level::Info,
         }
     }
@@ -72,6 +77,11 @@ impl fmt::Display for CameraEvent {
                 write!(f, "camera {camera} is in use again, after it was moved by {way}")?;
             }
             CameraEventKind::Drifted => write!(f, "camera {camera} has drifted by {way}")?,
+            CameraEventKind::Disputed => write!(
+                f,
+                "camera {camera} sees robots elsewhere than its neighbour does, and their bare floors can't tell \
+                 which of the two was knocked: calibrate both"
+            )?,
         }
         let Some(pose) = self.pose else { return Ok(()) };
         let at = pose.translation.vector;

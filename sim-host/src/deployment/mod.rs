@@ -21,6 +21,7 @@ mod tests;
 
 use std::collections::{BTreeMap, VecDeque};
 
+use nalgebra::Isometry3;
 use ubimap_protocol::{
     frame::{Key, MAX_FRAME},
     link::Terms,
@@ -32,8 +33,8 @@ use self::keeping::Keeping;
 use crate::{
     camera::{Calibration, Frame, Observation, Sighting},
     perception::{
-        Observer,
-        robots::RegistryError,
+        FrameError, Observer,
+        robots::{RegistryError, SightingEvent},
         steadiness::{Change, Standing},
     },
     server::{Command, CommandError, Server, coordination::GoalError},
@@ -235,6 +236,18 @@ impl Deployment {
         self.take(observation);
     }
 
+    /// Reports a problem with markers that was found together with an observation computed elsewhere.
+    pub fn sighting_event(&mut self, captured: Instant, event: SightingEvent) {
+        let captured = self.server_time(captured);
+        self.server.sighting_event(captured, event);
+    }
+
+    /// Reports a camera whose frames are faulty, found while an observation was computed elsewhere.
+    pub fn frame_error(&mut self, fault: FrameError, now: Instant) {
+        let now = self.server_time(now);
+        self.add_event(now, Event::Frame(fault));
+    }
+
     /// Processes an observation whose times are by the server's clock.
     fn take(&mut self, mut observation: Observation) {
         self.server.observe(&observation);
@@ -249,15 +262,45 @@ impl Deployment {
 
     /// A camera has moved: what it has seen since goes, and its new pose counts.
     fn moved(&mut self, captured: Instant, camera: usize, change: &Change) {
-        if let Change::Knocked { since, .. } = change {
-            self.server.forget_camera(camera, *since);
-        }
+        let known = self.calibrations.get(camera);
+        let before = known.and_then(|it| it.pose().copied());
+        self.tell_moved(captured, camera, change, before.as_ref());
         let known = self.calibrations.get_mut(camera);
-        let before = known.as_ref().and_then(|it| it.pose().copied());
-        let event = CameraEvent::new(camera, change, before.as_ref());
         if let (Some(known), Some((_, calibration))) = (known, self.observer.standing(camera)) {
             *known = *calibration;
         }
+    }
+
+    /// Reports a camera that has moved, found while its observations were computed elsewhere. `before` is
+    /// its last known pose.
+    pub fn camera_moved(
+        &mut self,
+        captured: Instant,
+        camera: usize,
+        change: Change,
+        before: Option<&Isometry3<f64>>,
+    ) {
+        let change = match change {
+            Change::Knocked { since, pose } => {
+                Change::Knocked { since: self.server_time(since), pose }
+            }
+            settled => settled,
+        };
+        let captured = self.server_time(captured);
+        self.tell_moved(captured, camera, &change, before);
+    }
+
+    fn tell_moved(
+        &mut self,
+        captured: Instant,
+        camera: usize,
+        change: &Change,
+        before: Option<&Isometry3<f64>>,
+    ) {
+        if let Change::Knocked { since, .. } = change {
+            self.server.forget_camera(camera, *since);
+        }
+        let event = CameraEvent::new(camera, change, before);
         if self.camera_events.len() >= MAX_EVENTS {
             self.camera_events.pop_front();
         }

@@ -11,6 +11,7 @@
 //! box_m = [0.4, 0.3]           # the robot's length and width; default: 0.4 by 0.4
 //! marker_at_m = [0.0, 0.0]     # the marker's centre, ahead of base_link and to its left
 //! marker_turn_deg = 0.0        # yaw of the marker relative to the robot, counter-clockwise
+//! # port = "/dev/ttyUSB0"      # for `ubimap serve` alone: the robot's own port
 //! ```
 
 use std::collections::BTreeSet;
@@ -65,6 +66,10 @@ pub struct RegisteredRobot {
     /// Yaw of the marker relative to the robot, counter-clockwise.
     #[serde(default)]
     pub marker_turn_deg: f64,
+    /// The port of `ubimap serve` at which it is, if it is the only one there: a serial device, or a
+    /// socket as `udp:4000`. Nothing else reads it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub port: Option<String>,
 }
 
 /// Why a registry was refused, in one line.
@@ -84,6 +89,7 @@ impl RegisteredRobot {
             box_m: Some(box_m),
             marker_at_m: [0.0; 2],
             marker_turn_deg: 0.0,
+            port: None,
         }
     }
 
@@ -153,8 +159,16 @@ impl Registry {
             let what = error.message().lines().collect::<Vec<_>>().join(" ");
             BadRegistry(format!("line {line}: {what}"))
         })?;
+        registry.checked()
+    }
+
+    /// The registry, if its robots can be told apart and their values are possible.
+    ///
+    /// # Errors
+    /// [`BadRegistry`], which names the robot.
+    pub fn checked(self) -> Result<Self, BadRegistry> {
         let mut ids = BTreeSet::new();
-        for robot in &registry.robots {
+        for robot in &self.robots {
             if let Some(fault) = robot.fault() {
                 return Err(BadRegistry(fault));
             }
@@ -163,8 +177,8 @@ impl Registry {
             }
         }
         // No cameras are needed to check whether markers are unique.
-        match registry.observer(&[], Survey::default()) {
-            Ok(_) => Ok(registry),
+        match self.observer(&[], Survey::default()) {
+            Ok(_) => Ok(self),
             Err(error @ RegistryError::Twice(..)) => {
                 Err(BadRegistry(format!("{error}; each needs its own")))
             }

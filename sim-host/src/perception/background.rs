@@ -123,9 +123,8 @@ impl Background {
         self.totals.clear();
         self.totals.resize(2 * rays.cells() + 2, 0);
         for pixel in 0..self.home.len() {
-            let home = self.settle(rays, pixel);
-            self.home[pixel] = home;
-            self.totals[home as usize] += 1;
+            self.home[pixel] = self.settle(rays, pixel);
+            self.totals[self.home[pixel] as usize] += 1;
         }
     }
 
@@ -485,27 +484,17 @@ mod tests {
         let (rays, floor, legs) = floor_and_legs();
         let taken = vec![false; rays.cells()];
         let mut background = Background::new(&rays);
-        let in_the_way = |background: &Background| far(&rays, &floor, background)[1];
+        let mut learn = |frames: core::ops::Range<u64>, image: &DepthImage| {
+            for frame in frames {
+                let image = noisy(image, &DepthNoise::D435, frame, 980);
+                background.learn(&rays, &image, Instant(frame * 200_000), &taken);
+            }
+            far(&rays, &floor, &background)[1]
+        };
         // Five images a second, until every pixel has been checked twice.
         let (leaves, ends) = (50, 50 + 2 * u64::from(ROWS_BETWEEN));
-        for frame in 0..leaves {
-            background.learn(
-                &rays,
-                &noisy(&legs, &DepthNoise::D435, frame, 980),
-                Instant(frame * 200_000),
-                &taken,
-            );
-        }
-        let before = in_the_way(&background);
-        for frame in leaves..ends {
-            background.learn(
-                &rays,
-                &noisy(&floor, &DepthNoise::D435, frame, 980),
-                Instant(frame * 200_000),
-                &taken,
-            );
-        }
-        let after = in_the_way(&background);
+        let before = learn(0..leaves, &legs);
+        let after = learn(leaves..ends, &floor);
         assert!(before > 1_000 && 10 * after < before, "{before} pixels, then {after}");
     }
 }

@@ -23,6 +23,9 @@ use crate::{
 /// Minimum interval between processed depth images of one camera: people walk 0.25 m in this time.
 const LOOK_INTERVAL: Duration = Duration::from_millis(190);
 
+/// Time after which cameras that accuse each other are reported.
+const DISPUTE_LASTS: Duration = Duration::from_millis(1_500);
+
 /// Perception of all cameras.
 #[derive(Debug)]
 pub struct Observer {
@@ -32,6 +35,8 @@ pub struct Observer {
     /// The time and pose of each robot's last localisation.
     localised: BTreeMap<RobotId, (Instant, Pose)>,
     changes: VecDeque<(Instant, usize, Change)>,
+    /// When several cameras began to accuse each other, and whether that was reported.
+    disputed: Option<(Instant, bool)>,
 }
 
 #[derive(Debug)]
@@ -70,6 +75,7 @@ impl Observer {
             footprints: robots.iter().map(|&(_, mount, it)| (mount.robot, it)).collect(),
             localised: BTreeMap::new(),
             changes: VecDeque::new(),
+            disputed: None,
         })
     }
 
@@ -94,6 +100,10 @@ impl Observer {
             if last.0 <= captured {
                 *last = (captured, sighting.pose);
             }
+        }
+        if let Some(Some(camera)) = self.eyes.get_mut(frame.camera) {
+            let (seen, calibration) = (self.localiser.witnesses(), camera.calibration);
+            camera.steadiness.hear(&calibration, seen, captured);
         }
         let mut observation =
             Observation { camera: frame.camera, captured, robots, ..Observation::default() };
@@ -133,12 +143,19 @@ impl Observer {
 
     /// Whether the camera of a frame stands where it should, as far as is known.
     fn watch(&mut self, frame: &Frame, now: Instant) -> bool {
+        let accused = self.eyes.iter().enumerate().filter(|(_, camera)| {
+            camera.as_ref().is_some_and(|camera| camera.steadiness.is_accused())
+        });
+        let accused: Vec<usize> = accused.map(|(index, _)| index).collect();
+        self.hear_dispute(frame.captured, &accused);
         let Some(Some(camera)) = self.eyes.get_mut(frame.camera) else { return true };
         let before = camera.steadiness.standing();
         if frame.captured >= camera.next_look
             && let Ok(depths) = camera.eye.check(frame, now)
         {
-            if let Some(change) = camera.steadiness.look(depths, frame.captured) {
+            if let Some(change) =
+                camera.steadiness.look(depths, frame.captured, accused == [frame.camera])
+            {
                 camera.change(&change);
                 self.localiser.stand(frame.camera, camera.calibration.picture);
                 self.changes.push_back((frame.captured, frame.camera, change));
@@ -152,6 +169,19 @@ impl Observer {
             self.localiser.leave_out(frame.camera, standing != Standing::Steady);
         }
         standing == Standing::Steady
+    }
+
+    /// Reports cameras that accuse each other for some time.
+    fn hear_dispute(&mut self, captured: Instant, accused: &[usize]) {
+        if accused.len() < 2 {
+            self.disputed = None;
+            return;
+        }
+        let (since, is_told) = self.disputed.get_or_insert((captured, false));
+        if !*is_told && captured.since(*since) >= DISPUTE_LASTS {
+            *is_told = true;
+            self.changes.extend(accused.iter().map(|&camera| (captured, camera, Change::Disputed)));
+        }
     }
 
     /// The next change of a camera's pose: the capture time of the frame that shows it, and the camera.
@@ -176,7 +206,7 @@ impl Camera {
     /// Moves the camera to its new pose.
     fn change(&mut self, change: &Change) {
         let (pose, relearns) = match change {
-            Change::Knocked { .. } => return,
+            Change::Knocked { .. } | Change::Disputed => return,
             Change::Returned(pose) => (pose, true),
             Change::Drifted(pose) => (pose, false),
         };

@@ -54,6 +54,17 @@ impl CameraModel {
         height_m * tan(self.vertical_fov_deg.to_radians() / 2.0)
     }
 
+    /// The same camera with a share of the image's width and height, about its centre.
+    pub(super) fn narrowed(&self, share: f64) -> Self {
+        let narrowed =
+            |fov_deg: f64| 2.0 * libm::atan(share * tan(fov_deg.to_radians() / 2.0)).to_degrees();
+        Self {
+            horizontal_fov_deg: narrowed(self.horizontal_fov_deg),
+            vertical_fov_deg: narrowed(self.vertical_fov_deg),
+            ..*self
+        }
+    }
+
     /// The paper's `w_i` of a camera at a height, in metres: the whole width of the rectangle.
     pub fn width_m(&self, height_m: f64) -> f64 {
         2.0 * height_m * tan(self.horizontal_fov_deg.to_radians() / 2.0)

@@ -11,6 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
+    incidence::Incidence,
     programme::{Goal, Programme},
     selection::Selection,
 };
@@ -26,16 +27,35 @@ const COLD: f64 = 0.15;
 /// Number of exchanges per round.
 const ROUND: usize = 20_000;
 
-/// The piece of each chosen candidate, numbered from zero in order of appearance. Cameras that
-/// share at least `shared` cells are in one piece.
-pub fn pieces(programme: &Programme, chosen: &[u32], shared: u16) -> Vec<usize> {
-    let mut graph = Graph::new(programme, shared);
+/// The cells in which landmarks can be seen, which make cameras neighbours.
+#[derive(Clone, Copy, Debug)]
+pub struct Views<'a> {
+    /// For each candidate the cells that it sees.
+    pub sees: &'a Incidence,
+    /// For each cell the candidates that see it: the transpose of `sees`.
+    pub seen_by: &'a Incidence,
+    /// Minimum number of cells that neighbours share.
+    pub shared: u16,
+}
+
+impl<'a> Views<'a> {
+    /// The views are the floor that the candidates cover.
+    pub fn of(programme: &'a Programme, shared: u16) -> Self {
+        Self { sees: &programme.covers, seen_by: &programme.covered_by, shared }
+    }
+}
+
+/// The piece of each chosen candidate, numbered from zero in order of appearance. Neighbours are in
+/// one piece.
+pub fn pieces(views: Views<'_>, chosen: &[u32]) -> Vec<usize> {
+    let mut graph = Graph::new(views);
     chosen.iter().for_each(|&candidate| graph.add(candidate));
     graph.pieces(chosen)
 }
 
 /// The minimum number of pieces of any placement that covers every cell that has a demand and a
-/// candidate. It exceeds one if no chain of candidates connects some of these cells.
+/// candidate, if cameras that cover a common cell were neighbours. It exceeds one if no chain of
+/// candidates connects some of these cells.
 pub fn fewest_pieces(programme: &Programme) -> usize {
     let mut is_seen = vec![false; programme.demands.len()];
     let mut is_done = vec![false; programme.candidates()];
@@ -66,10 +86,9 @@ pub fn fewest_pieces(programme: &Programme) -> usize {
 
 /// The chosen candidates and their neighbours.
 struct Graph<'p> {
-    programme: &'p Programme,
-    shared: u16,
-    /// For each cell the chosen candidates that cover it.
-    coverers: Vec<Vec<u32>>,
+    views: Views<'p>,
+    /// For each cell the chosen candidates that see it.
+    viewers: Vec<Vec<u32>>,
     /// For each chosen candidate its neighbours.
     neighbours: Vec<Vec<u32>>,
     /// Scratch memory: the number of cells shared with each candidate; all zero between calls.
@@ -77,21 +96,21 @@ struct Graph<'p> {
 }
 
 impl<'p> Graph<'p> {
-    fn new(programme: &'p Programme, shared: u16) -> Self {
+    fn new(views: Views<'p>) -> Self {
+        let candidates = views.sees.rows();
         Self {
-            programme,
-            shared,
-            coverers: vec![Vec::new(); programme.demands.len()],
-            neighbours: vec![Vec::new(); programme.candidates()],
-            common: vec![0; programme.candidates()],
+            views,
+            viewers: vec![Vec::new(); views.seen_by.rows()],
+            neighbours: vec![Vec::new(); candidates],
+            common: vec![0; candidates],
         }
     }
 
     /// The chosen candidates that would be neighbours of `candidate`.
     fn beside(&mut self, candidate: u32) -> Vec<u32> {
         let mut touched = Vec::new();
-        for &cell in self.programme.covers.row(candidate as usize) {
-            for &other in &self.coverers[cell as usize] {
+        for &cell in self.views.sees.row(candidate as usize) {
+            for &other in &self.viewers[cell as usize] {
                 if self.common[other as usize] == 0 {
                     touched.push(other);
                 }
@@ -99,7 +118,8 @@ impl<'p> Graph<'p> {
             }
         }
         touched.retain(|&other| {
-            std::mem::take(&mut self.common[other as usize]) >= self.shared && other != candidate
+            std::mem::take(&mut self.common[other as usize]) >= self.views.shared
+                && other != candidate
         });
         touched
     }
@@ -110,8 +130,8 @@ impl<'p> Graph<'p> {
             self.neighbours[other as usize].push(candidate);
         }
         self.neighbours[candidate as usize] = beside;
-        for &cell in self.programme.covers.row(candidate as usize) {
-            self.coverers[cell as usize].push(candidate);
+        for &cell in self.views.sees.row(candidate as usize) {
+            self.viewers[cell as usize].push(candidate);
         }
     }
 
@@ -119,8 +139,8 @@ impl<'p> Graph<'p> {
         for other in std::mem::take(&mut self.neighbours[candidate as usize]) {
             self.neighbours[other as usize].retain(|&it| it != candidate);
         }
-        for &cell in self.programme.covers.row(candidate as usize) {
-            self.coverers[cell as usize].retain(|&it| it != candidate);
+        for &cell in self.views.sees.row(candidate as usize) {
+            self.viewers[cell as usize].retain(|&it| it != candidate);
         }
     }
 
@@ -176,15 +196,15 @@ impl<'p> Connecting<'p> {
     /// weight than `least_weight` are not accepted.
     pub(super) fn new(
         programme: &'p Programme,
+        views: Views<'p>,
         start: &[u32],
-        shared: u16,
         least_weight: u64,
         seed: u64,
     ) -> Self {
         let mut search = Self {
             programme,
             selection: Selection::new(programme, 1),
-            graph: Graph::new(programme, shared),
+            graph: Graph::new(views),
             dice: ChaCha8Rng::seed_from_u64(seed),
             pieces: 0,
             price: PIECE,
@@ -203,12 +223,9 @@ impl<'p> Connecting<'p> {
         self.best.as_ref().map(|(pieces, _, chosen)| (*pieces, &chosen[..]))
     }
 
-    /// Tries `steps` exchanges; stops early if a placement in at most `enough` pieces is found.
-    pub(super) fn run(&mut self, steps: usize, enough: usize) {
+    /// Tries `steps` exchanges.
+    pub(super) fn run(&mut self, steps: usize) {
         for _ in 0..steps {
-            if self.best.as_ref().is_some_and(|(pieces, ..)| *pieces <= enough) {
-                return;
-            }
             let done = (self.step % ROUND) as f64 / ROUND as f64;
             self.step += 1;
             if self.step.is_multiple_of(ROUND) {
@@ -301,9 +318,14 @@ impl<'p> Connecting<'p> {
 /// Adds cameras to a placement until it has at most `enough` pieces, or no further pieces can be
 /// connected. Each time it adds the shortest chain of candidates between two pieces. Then it
 /// removes the cameras that are no longer needed. Upper bounds are kept.
-pub(super) fn bridge(programme: &Programme, start: &[u32], shared: u16, enough: usize) -> Vec<u32> {
+pub(super) fn bridge(
+    programme: &Programme,
+    views: Views<'_>,
+    start: &[u32],
+    enough: usize,
+) -> Vec<u32> {
     let mut selection = Selection::new(programme, 1);
-    let mut graph = Graph::new(programme, shared);
+    let mut graph = Graph::new(views);
     for &candidate in start {
         selection.add(candidate);
         graph.add(candidate);
@@ -353,16 +375,16 @@ fn chain_from(
     selection: &Selection<'_>,
     graph: &mut Graph<'_>,
 ) -> Option<Vec<u32>> {
-    let programme = graph.programme;
-    let mut before: Vec<Option<u32>> = vec![None; programme.candidates()];
-    let mut is_seen = vec![false; programme.candidates()];
+    let views = graph.views;
+    let mut before: Vec<Option<u32>> = vec![None; views.sees.rows()];
+    let mut is_seen = vec![false; views.sees.rows()];
     piece.iter().for_each(|&candidate| is_seen[candidate as usize] = true);
     let mut waiting: VecDeque<u32> = piece.into();
-    let mut common = vec![0u16; programme.candidates()];
+    let mut common = vec![0u16; views.sees.rows()];
     while let Some(candidate) = waiting.pop_front() {
         let mut touched = Vec::new();
-        for &cell in programme.covers.row(candidate as usize) {
-            for &next in programme.covered_by.row(cell as usize) {
+        for &cell in views.sees.row(candidate as usize) {
+            for &next in views.seen_by.row(cell as usize) {
                 if common[next as usize] == 0 {
                     touched.push(next);
                 }
@@ -371,7 +393,7 @@ fn chain_from(
         }
         touched.sort_unstable();
         for next in touched {
-            let is_neighbour = std::mem::take(&mut common[next as usize]) >= graph.shared;
+            let is_neighbour = std::mem::take(&mut common[next as usize]) >= views.shared;
             if !is_neighbour || is_seen[next as usize] {
                 continue;
             }

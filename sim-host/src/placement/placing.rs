@@ -3,7 +3,7 @@
 use super::{
     camera::{CameraModel, Candidate, Projection},
     candidates::{CandidatesError, Choices, candidates},
-    connection::{self, Connecting},
+    connection::{self, Connecting, Views},
     coverage::coverage,
     floor_plan::FloorPlan,
     incidence::Incidence,
@@ -21,6 +21,9 @@ const TWICE: u16 = 2;
 /// landmarks.
 const SHARED_M2: f64 = 0.25;
 
+/// Share of a picture in which a marker is whole, which stands above the floor that is seen there.
+const MARKER_SHARE: f64 = 0.8;
+
 /// Fraction of the time after which the solver must stop, so that the rest is left for connecting
 /// the cameras.
 const SOLVED: f64 = 0.8;
@@ -30,6 +33,8 @@ const CHECKED: f64 = 0.2;
 /// with it.
 const FREE_EXCHANGES: usize = 20_000;
 const MOST_EXCHANGES: usize = 1_000_000;
+/// Number of exchanges for more coverage once the cameras are connected.
+const IMPROVING: usize = 200_000;
 /// Number of exchanges between two reports.
 const EXCHANGES: usize = 500;
 
@@ -43,6 +48,8 @@ pub struct Request {
     pub projection: Projection,
     /// The cameras' properties.
     pub model: CameraModel,
+    /// What the cameras' pictures see, in which calibration finds landmarks.
+    pub picture: CameraModel,
     /// The possible places and orientations of the cameras.
     pub choices: Choices,
     /// The minimum number of cameras that must see a cell for it to count as covered: the paper's
@@ -276,7 +283,18 @@ pub fn place(
     let shared = (SHARED_M2 / (plan.side_m() * plan.side_m())).ceil().max(1.0) as u16;
     let fewest_pieces = connection::fewest_pieces(&programme);
     let before = chosen.len();
-    let mut connection = Connection { programme: &programme, request, shared, fewest_pieces };
+    let pictures = (request.picture != request.model).then(|| {
+        let whole = request.picture.narrowed(MARKER_SHARE);
+        let sees = area.numbered(&coverage(plan, request.projection, &whole, &candidates));
+        let sees = area.passable(plan, &sees);
+        let seen_by = sees.transpose(programme.demands.len());
+        (sees, seen_by)
+    });
+    let views = match &pictures {
+        Some((sees, seen_by)) => Views { sees, seen_by, shared },
+        None => Views::of(&programme, shared),
+    };
+    let mut connection = Connection { programme: &programme, request, views, fewest_pieces };
     let pieces = connection.mend(&mut chosen, report);
     let overlap = overlap(&covers, &chosen, plan.cells().len());
     Ok(Placement {
@@ -364,13 +382,41 @@ impl Area {
         Ok(area)
     }
 
+    /// The same views with the cells' indices in the programme.
+    fn numbered(&self, covers: &Incidence) -> Incidence {
+        let number = |&cell: &u32| self.numbers[cell as usize].checked_sub(1);
+        let rows = covers.iter().map(|cells| cells.iter().filter_map(number).collect::<Vec<u32>>());
+        Incidence::from_rows(rows)
+    }
+
+    /// The views without cells beside an obstacle, where no robot can bring a landmark; in the indices of
+    /// the programme.
+    fn passable(&self, plan: &FloorPlan, views: &Incidence) -> Incidence {
+        let mut is_passable = vec![false; self.demands.len()];
+        for (cell, number) in plan.cells().iter().zip(&self.numbers) {
+            let (column, row) = (cell.column, cell.row);
+            let beside = [
+                (column + 1, row),
+                (column.wrapping_sub(1), row),
+                (column, row + 1),
+                (column, row.wrapping_sub(1)),
+            ];
+            if let Some(number) = number.checked_sub(1) {
+                is_passable[number as usize] =
+                    beside.iter().all(|&(column, row)| plan.cell_at(column, row).is_some());
+            }
+        }
+        let passable = |cells: &[u32]| -> Vec<u32> {
+            cells.iter().copied().filter(|&cell| is_passable[cell as usize]).collect()
+        };
+        Incidence::from_rows(views.iter().map(passable))
+    }
+
     fn programme(
         &self,
         request: &Request,
         covers: &Incidence,
     ) -> Result<Programme, PlacementError> {
-        let number = |&cell: &u32| self.numbers[cell as usize].checked_sub(1);
-        let rows = covers.iter().map(|cells| cells.iter().filter_map(number).collect::<Vec<u32>>());
         let total = |is_required: bool| -> u64 {
             let cells = self.demands.iter().filter(|it| it.is_required == is_required);
             cells.map(|it| u64::from(it.weight)).sum()
@@ -392,7 +438,7 @@ impl Area {
                 Goal::Fewest { weight: asked.saturating_sub(total(true)) }
             }
         };
-        Ok(Programme::new(self.demands.clone(), Incidence::from_rows(rows), goal))
+        Ok(Programme::new(self.demands.clone(), self.numbered(covers), goal))
     }
 }
 
@@ -477,7 +523,7 @@ fn overlap(covers: &Incidence, chosen: &[u32], cells: usize) -> Vec<u16> {
 struct Connection<'a> {
     programme: &'a Programme,
     request: &'a Request,
-    shared: u16,
+    views: Views<'a>,
     fewest_pieces: usize,
 }
 
@@ -506,7 +552,7 @@ impl Connection<'_> {
     }
 
     fn count(&self, chosen: &[u32]) -> usize {
-        let pieces = connection::pieces(self.programme, chosen, self.shared);
+        let pieces = connection::pieces(self.views, chosen);
         pieces.into_iter().max().map_or(0, |last| last + 1)
     }
 
@@ -519,18 +565,22 @@ impl Connection<'_> {
         report: &mut dyn FnMut(Stage) -> f64,
     ) -> usize {
         let seed = self.request.seed;
-        let mut search = Connecting::new(self.programme, chosen, self.shared, least_weight, seed);
+        let mut search = Connecting::new(self.programme, self.views, chosen, least_weight, seed);
         let mut pieces = self.count(chosen);
-        for _ in 0..exchanges / EXCHANGES {
-            let stage = Stage::Connecting { cameras: chosen.len(), pieces };
-            if pieces <= self.fewest_pieces || report(stage) >= 1.0 {
-                break;
+        let mut rest = exchanges / EXCHANGES;
+        while rest > 0 && report(Stage::Connecting { cameras: chosen.len(), pieces }) < 1.0 {
+            rest -= 1;
+            search.run(EXCHANGES);
+            let Some((found, best)) = search.best().filter(|(found, _)| *found <= pieces) else {
+                continue;
+            };
+            if found < pieces && found <= self.fewest_pieces {
+                // What remains to be gained is coverage.
+                let is_best = matches!(self.programme.goal, Goal::Best { .. });
+                rest = if is_best { rest.min(IMPROVING / EXCHANGES) } else { 0 };
             }
-            search.run(EXCHANGES, self.fewest_pieces);
-            if let Some((fewer, best)) = search.best().filter(|(found, _)| *found < pieces) {
-                pieces = fewer;
-                *chosen = best.to_vec();
-            }
+            pieces = found;
+            *chosen = best.to_vec();
         }
         pieces
     }
@@ -540,7 +590,7 @@ impl Connection<'_> {
     fn add_cameras(&self, chosen: &mut Vec<u32>, report: &mut dyn FnMut(Stage) -> f64) {
         let least = chosen.len();
         let before = self.count(chosen);
-        let bridged = connection::bridge(self.programme, chosen, self.shared, self.fewest_pieces);
+        let bridged = connection::bridge(self.programme, self.views, chosen, self.fewest_pieces);
         if self.count(&bridged) >= before {
             return;
         }

@@ -98,6 +98,29 @@ pub enum LogError {
         /// The problem, on one line.
         reason: String,
     },
+    /// The poses and the images have no time in common.
+    #[error(
+        "{path}: its poses are from {} to {} s, and the images from {} to {} s: no image has a pose; \
+         both must be by one clock",
+        poses_s[0], poses_s[1], images_s[0], images_s[1], path = path.display()
+    )]
+    OtherTimes {
+        /// The file of the poses.
+        path: PathBuf,
+        /// The times of the first and the last pose.
+        poses_s: [f64; 2],
+        /// The times of the first and the last image.
+        images_s: [f64; 2],
+    },
+    /// A list of images lacks one of them.
+    #[error("{path}: no line in {list}; add one (TIME FILE), or remove the image",
+        path = path.display(), list = list.display())]
+    Unlisted {
+        /// The image.
+        path: PathBuf,
+        /// The list.
+        list: PathBuf,
+    },
     /// A `cameras.toml` is malformed.
     #[error("{path}: {reason}", path = path.display())]
     Cameras {
@@ -184,8 +207,23 @@ pub enum LineFault {
         expected: usize,
     },
     /// The matrix or quaternion of a pose is not a rotation.
-    #[error("not a rotation")]
-    NoRotation,
+    #[error("not a rotation: {0}")]
+    NoRotation(&'static str),
+    /// A pose has none of the known forms.
+    #[error(
+        "{found} numbers; a pose is 7 (x y z qx qy qz qw), 8 (TUM: a time before them), 12 or 16 (a matrix \
+         from camera to world), or 4 rows of 4"
+    )]
+    PoseForm {
+        /// Number of numbers in this line.
+        found: usize,
+    },
+    /// The poses of a file differ in their form.
+    #[error("{found} numbers: another form of a pose than before")]
+    OtherPoseForm {
+        /// Number of numbers in this line.
+        found: usize,
+    },
     /// The camera looks at the floor or the ceiling.
     #[error(
         "the camera looks {tilt_deg:.0} degrees off the horizon; its rows cannot be mapped (or does \

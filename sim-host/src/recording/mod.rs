@@ -17,11 +17,14 @@
 //! [`RecordedFrames`] plays the frames of RGB-D cameras, and [`Recorder`] writes them. [`frames`]
 //! describes the layout on disk.
 
+mod camera_forms;
+mod camera_pose;
 mod camera_poses;
 mod depth_image;
 mod error;
 mod format;
 pub mod frames;
+mod image_times;
 mod intrinsics;
 mod lines;
 mod mounted;
@@ -29,9 +32,11 @@ mod numbered_files;
 mod scans;
 mod time_stamps;
 
+pub use camera_forms::units_per_metre;
 pub use error::{Field, FrameFault, LineFault, LogError};
 pub use format::Format;
-pub use frames::{FramesError, RecordedFrames, Recorder};
+pub use frames::{FramesError, Reading, RecordedFrames, Recorder};
+pub(crate) use intrinsics::IntrinsicsFile;
 pub use scans::{
     DepthSlice, Log, LoggedScan, PixelModel, Sensor, Slicing, UpAxis, concatenate, read, read_all,
     write_carmen,

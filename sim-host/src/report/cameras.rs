@@ -9,7 +9,8 @@ use serde::Serialize;
 pub struct CameraMove {
     /// The camera's index.
     pub camera: usize,
-    /// "knocked", and out of use; "returned" into use; or "drifted", and corrected.
+    /// "knocked", and out of use; "returned" into use; "drifted", and corrected; or "disputed", because it
+    /// contradicts another camera.
     pub what: &'static str,
     /// When it was noticed, in seconds of the run.
     pub at_s: f64,
@@ -17,7 +18,7 @@ pub struct CameraMove {
     pub shift_m: Option<f64>,
     /// The angle by which it has turned since, in degrees.
     pub turn_deg: Option<f64>,
-    /// The pose found: x, y and z in metres, heading, tilt and roll in degrees; `None` for a knock.
+    /// The pose found: x, y and z in metres, heading, tilt and roll in degrees; `None` unless it is known.
     pub pose: Option<[f64; 6]>,
 }
 

@@ -1,6 +1,6 @@
 //! Reports and pictures of a run.
 //!
-//! [`Report`] is `report.json` of a run, [`ServeReport`] that of a server on serial ports, and
+//! [`Report`] is `report.json` of a run, [`ServeReport`] that of a server, and
 //! [`WatchReport`] that of recorded cameras. [`render`] draws `map.png`, and [`OutputFolder`]
 //! writes either all files or none.
 
@@ -33,7 +33,7 @@ pub use picture::{
     render_overlap,
 };
 pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
-pub use serving::{EventSummary, PortSummary, ServeReport, StateSummary};
+pub use serving::{EventSummary, PortSummary, ServeReport, ServedCamera, StateSummary};
 pub use summary::{
     CalibrationErrors, DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report,
     RobotSummary, TruthScores,

@@ -105,7 +105,7 @@ pub struct Pixels {
 }
 
 /// Errors of calibrated cameras against their true poses.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CalibrationErrors {
     /// Number of pairs of a landmark in two cameras.
     pub landmarks: u64,
@@ -113,6 +113,9 @@ pub struct CalibrationErrors {
     pub position_m: f64,
     /// Maximum error of an orientation, in degrees.
     pub angle_deg: f64,
+    /// The errors of the position and of the orientation of each camera but the reference, in their stated
+    /// standard deviations.
+    pub in_sigmas: Vec<[f64; 2]>,
 }
 
 /// Results for the fused map.
@@ -347,7 +350,7 @@ impl Report {
                 sighted.count, sighted.rmse_m, sighted.rmse_deg
             )?;
         }
-        if let Some(calibration) = self.calibration {
+        if let Some(calibration) = &self.calibration {
             writeln!(
                 f,
                 "calibration: {} landmarks, cameras within {:.4} m and {:.3} degrees of the truth",

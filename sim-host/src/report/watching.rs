@@ -5,6 +5,7 @@ use std::fmt;
 use serde::Serialize;
 
 use super::{cameras::CameraMove, summary::HexDigest};
+use crate::grid::OccupancyGrid;
 
 /// Results of watching a recording. Times are in seconds of the recording's clock.
 ///
@@ -123,6 +124,21 @@ pub struct SeenMap {
     pub in_view: u64,
     /// Digest of the map's tiles.
     pub digest: HexDigest,
+}
+
+impl SeenMap {
+    /// The figures of a map and of what cameras see of it.
+    pub fn new(map: &OccupancyGrid, coverage: &OccupancyGrid, digest: HexDigest) -> Self {
+        let counts = map.counts();
+        Self {
+            resolution_m: map.resolution_m(),
+            known: counts.known as u64,
+            free: counts.free as u64,
+            occupied: counts.occupied as u64,
+            in_view: coverage.counts().known as u64,
+            digest,
+        }
+    }
 }
 
 impl WatchReport {

@@ -206,7 +206,7 @@ impl Wired<'_> {
 }
 
 /// The driver of a depth camera with this model; `None` if it is not the camera of machines.
-fn camera(sensor: SensorModel, buffer: &mut [u16]) -> Option<A010<'_>> {
+pub(super) fn camera(sensor: SensorModel, buffer: &mut [u16]) -> Option<A010<'_>> {
     let camera = match sensor {
         SensorModel::Pinhole { focal, centre } => Camera::new((focal, focal), (centre, centre)),
         SensorModel::Row { camera, .. } => camera,

@@ -1,7 +1,6 @@
 //! A simulated calibration: one robot is steered through the overlaps of the cameras, whose poses
 //! are then those that its markers give. True poses serve for the tour and the comparison alone.
 
-use nalgebra::Isometry3;
 use ubimap_protocol::{
     time::{Duration, Instant},
     units::Millimetres,
@@ -23,7 +22,7 @@ use crate::{
 const LEAST: Duration = Duration::from_secs(60);
 /// Maximum duration, if people keep the robot from completing its tour.
 const MOST: Duration = Duration::from_secs(600);
-/// Distance from its last stop at which a robot has completed the tour, in metres.
+/// Distance from a stop of the tour at which a robot has reached it, in metres.
 const ARRIVED_M: f64 = 0.1;
 
 /// Calibrates the cameras of a scenario by what they see while its first robot is steered through
@@ -42,20 +41,20 @@ pub fn calibrated(
     scenario.robots.truncate(1);
     let world = World::new(&scenario, walls, resolution, seed)?;
     let tour = world.tour();
-    let Some(&last) = tour.last() else {
+    if tour.is_empty() {
         let reason = "no marker of a robot can be in the pictures of two cameras at once; let their views overlap more";
         return Err(CalibrateFault::of("--calibrate", &reason).into());
-    };
+    }
     if let Some(robot) = scenario.robots.first_mut() {
-        robot.route.waypoints_m = tour;
+        robot.route.waypoints_m.clone_from(&tour);
     }
     let mut world = World::new(&scenario, walls, resolution, seed)?;
     let cameras = FrameSource::cameras(&world).to_vec();
     let mut finder = LandmarkFinder::new(&cameras, registry.markers());
-    let mut is_complete = false;
+    let mut ahead = &tour[..];
     let mut now = Instant(0);
     while let Some(next) = FrameSource::next_arrival(&world)
-        && (now < Instant(0) + LEAST || !is_complete)
+        && (now < Instant(0) + LEAST || !ahead.is_empty())
         && now < Instant(0) + MOST
     {
         now = next;
@@ -63,12 +62,18 @@ pub fn calibrated(
             finder.add(&frame);
         }
         let at = world.robots().first().map(|robot| robot.truth());
-        is_complete |= at.is_none_or(|at| {
-            let [x, y] = last;
-            libm::hypot(at.x.metres() - x, at.y.metres() - y) < ARRIVED_M
-        });
+        if let [[x, y], rest @ ..] = ahead
+            && at.is_none_or(|at| libm::hypot(at.x.metres() - x, at.y.metres() - y) < ARRIVED_M)
+        {
+            ahead = rest;
+        }
     }
-    log::info!("calibration: the tour took {:.0} s", now.micros() as f64 / 1e6);
+    log::info!(
+        "calibration: {} of {} stops of the tour in {:.0} s",
+        tour.len() - ahead.len(),
+        tour.len(),
+        now.micros() as f64 / 1e6
+    );
 
     let refuse = |reason: String| CalibrateFault::of("--calibrate", &reason);
     let names: Vec<String> = (0..cameras.len()).map(|index| format!("camera-{index:02}")).collect();
@@ -91,16 +96,19 @@ pub fn calibrated(
 /// The errors of the poses except the reference's.
 fn errors(cameras: &[Calibration], found: &Calibrated) -> CalibrationErrors {
     let pairs = cameras.iter().zip(&found.cameras).skip(1);
-    let pairs = pairs.filter_map(|(camera, found)| Some((*camera.pose()?, found.pose?)));
-    let pairs: Vec<(Isometry3<f64>, Isometry3<f64>)> = pairs.collect();
-    let metres = pairs
-        .iter()
-        .map(|(truth, pose)| (pose.translation.vector - truth.translation.vector).norm());
-    let degrees =
-        pairs.iter().map(|(truth, pose)| pose.rotation.angle_to(&truth.rotation).to_degrees());
+    let errors = pairs.filter_map(|(camera, found)| {
+        let (truth, pose) = (camera.pose()?, found.pose?);
+        let metres = (pose.translation.vector - truth.translation.vector).norm();
+        let radians = pose.rotation.angle_to(&truth.rotation);
+        let in_sigmas = [metres / found.position_sigma_m(), radians / found.angle_sigma_rad()];
+        Some(([metres, radians.to_degrees()], in_sigmas))
+    });
+    let errors: Vec<([f64; 2], [f64; 2])> = errors.collect();
+    let most = |kind: usize| errors.iter().map(|(error, _)| error[kind]).fold(0.0, f64::max);
     CalibrationErrors {
         landmarks: found.edges.iter().map(|edge| edge.edge.transform.pairs.len() as u64).sum(),
-        position_m: metres.fold(0.0, f64::max),
-        angle_deg: degrees.fold(0.0, f64::max),
+        position_m: most(0),
+        angle_deg: most(1),
+        in_sigmas: errors.into_iter().map(|(_, in_sigmas)| in_sigmas).collect(),
     }
 }

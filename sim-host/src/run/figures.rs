@@ -58,6 +58,7 @@ pub(super) fn camera_moves(deployment: &Deployment) -> Vec<CameraMove> {
             CameraEventKind::Knocked => "knocked",
             CameraEventKind::Returned => "returned",
             CameraEventKind::Drifted => "drifted",
+            CameraEventKind::Disputed => "disputed",
         },
         at_s: moment.micros() as f64 / 1e6,
         shift_m: event.way.map(|[metres, _]| metres),

@@ -1,7 +1,5 @@
 //! The floors that recorded cameras see, against the poses that are stated for them.
 
-use std::path::PathBuf;
-
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::{RunError, interruption, options::TrustFloor};
@@ -26,29 +24,31 @@ const LEAST_SHARE: f64 = 0.05;
 const TRUSTED_SHARE: f64 = 0.1;
 
 /// Finds the floor of each fixed camera in the first images of a recording. Prints how far it is off, and
-/// corrects the cameras of `frames`, which have the same folders, as `trust` says.
+/// corrects the cameras of `frames` as `trust` says. `samples` are the same frames once more.
 ///
 /// # Errors
 /// [`RunError::Frames`].
 pub(super) fn check(
-    folders: &[PathBuf],
+    samples: RecordedFrames,
     frames: &mut RecordedFrames,
     trust: TrustFloor,
 ) -> Result<Vec<Option<SeenFloor>>, RunError> {
-    let samples = sample(RecordedFrames::open_unplaced(folders)?, frames.cameras())?;
+    let samples = sample(samples, frames.cameras())?;
     let mut poses = Vec::new();
     let mut floors = Vec::new();
     for ((camera, samples), name) in frames.cameras().iter().zip(&samples).zip(frames.names()) {
         let stated = camera.pose().copied().unwrap_or_default();
-        let plane = samples.as_ref().filter(|it| it.is_enough()).and_then(|samples| {
+        let found = samples.as_ref().and_then(|samples| {
             FloorPlane::find(samples, |plane| {
                 let error = FloorError::new(&stated, &plane.normal, plane.height_m);
                 error.height_m.abs() < MOST_M && error.tilt_rad.to_degrees() < MOST_DEG
             })
         });
-        let plane = plane.filter(|plane| plane.share >= LEAST_SHARE);
+        let plane = found.filter(|plane| plane.share >= LEAST_SHARE);
+        let is_enough = samples.as_ref().is_some_and(DepthSamples::is_enough);
         let floor = plane.map(|plane| {
-            seen(&plane, &FloorError::new(&stated, &plane.normal, plane.height_m), trust)
+            let error = FloorError::new(&stated, &plane.normal, plane.height_m);
+            seen(&plane, &error, trust, is_enough)
         });
         match floor {
             Some(floor) if is_clear(&floor) => {
@@ -57,15 +57,21 @@ pub(super) fn check(
                     (false, TrustFloor::Never) => {
                         "; correct its pose, or leave out --trust-floor never"
                     }
+                    (false, _) if !is_enough => {
+                        "; its images are too few to correct it: correct the pose, or use --trust-floor \
+                         always"
+                    }
                     (false, _) => {
                         "; it fills too little of the view to be trusted: correct the pose, or use \
-                                   --trust-floor always"
+                         --trust-floor always"
                     }
                 };
                 log::warn!("{name}: the floor is off by {floor}{advice}");
             }
             Some(floor) => log::info!("{name}: the floor is off by {floor}"),
-            None => log::info!("{name}: no floor found"),
+            None => {
+                log::info!("{name}: height and tilt are not checked: {}", unseen(found.as_ref()))
+            }
         }
         let corrected = plane.filter(|_| floor.is_some_and(|floor| floor.is_corrected));
         poses.push(corrected.map_or(stated, |plane| plane.level(&stated)));
@@ -107,7 +113,21 @@ fn sample(
     }
 }
 
-fn seen(plane: &FloorPlane, error: &FloorError, trust: TrustFloor) -> SeenFloor {
+/// Why a camera has no floor, if this plane was found.
+fn unseen(found: Option<&FloorPlane>) -> String {
+    match found {
+        Some(plane) => format!(
+            "the plane at z = 0 fills {:.0} % of the view; below {:.0} % it may be a seat",
+            100.0 * plane.share,
+            100.0 * LEAST_SHARE
+        ),
+        None => format!(
+            "no plane within {MOST_M} m and {MOST_DEG} degrees of z = 0 (is z up in the pose, and the floor at 0?)"
+        ),
+    }
+}
+
+fn seen(plane: &FloorPlane, error: &FloorError, trust: TrustFloor, is_enough: bool) -> SeenFloor {
     let floor = SeenFloor {
         height_m: error.height_m,
         tilt_deg: error.tilt_rad.to_degrees(),
@@ -115,7 +135,7 @@ fn seen(plane: &FloorPlane, error: &FloorError, trust: TrustFloor) -> SeenFloor 
         is_corrected: false,
     };
     let is_corrected = match trust {
-        TrustFloor::Auto => is_clear(&floor) && plane.share >= TRUSTED_SHARE,
+        TrustFloor::Auto => is_clear(&floor) && is_enough && plane.share >= TRUSTED_SHARE,
         TrustFloor::Always => true,
         TrustFloor::Never => false,
     };

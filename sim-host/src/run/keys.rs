@@ -236,7 +236,8 @@ fn check_private(path: &Path, mode: u32) -> Result<(), KeysError> {
     Ok(())
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use std::os::unix::fs::PermissionsExt;
 

@@ -8,13 +8,16 @@ pub mod calibrate;
 pub mod calibration_drive;
 pub mod compare;
 pub mod conformance;
+pub mod control;
 mod convergence;
 pub mod decode;
+pub mod deployment_file;
 mod driving;
 mod figures;
 pub mod fleet;
 mod floors;
 pub mod heap;
+pub mod init;
 pub mod interruption;
 pub mod keeper;
 pub mod keys;
@@ -26,6 +29,9 @@ pub mod place;
 mod progress;
 pub mod record;
 pub mod replay;
+#[cfg(target_os = "linux")]
+pub mod rig;
+pub mod robot;
 mod robots_file;
 pub mod room_stage;
 pub mod scan_log;
@@ -105,6 +111,22 @@ pub enum RunError {
     #[error("{path}: {reason}", path = path.display())]
     Robots {
         /// The file.
+        path: PathBuf,
+        /// The reason, in one line.
+        reason: String,
+    },
+    /// A deployment can't be served.
+    #[error("{path}: {reason}", path = path.display())]
+    Deployment {
+        /// Its file.
+        path: PathBuf,
+        /// The reason, in one line.
+        reason: String,
+    },
+    /// A running server can't be asked, or refuses.
+    #[error("{path}: {reason}", path = path.display())]
+    Control {
+        /// Its socket.
         path: PathBuf,
         /// The reason, in one line.
         reason: String,
@@ -235,6 +257,8 @@ impl RunError {
             Self::Log(_)
             | Self::Frames(_)
             | Self::Robots { .. }
+            | Self::Deployment { .. }
+            | Self::Control { .. }
             | Self::Map(_)
             | Self::Output(_)
             | Self::Store(_)

@@ -52,8 +52,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     } else {
         None
     };
-    let calibration_errors = calibrated.as_ref().map(|(_, errors)| *errors);
-    let cameras = calibrated.map(|(cameras, _)| cameras);
+    let (cameras, calibration_errors) = calibrated.unzip();
     let configs = if options.outside.is_some() { Vec::new() } else { robots(options, &world) };
     check_tiles(configs.len(), own_tiles(options))?;
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();

@@ -21,7 +21,7 @@ use crate::{
     files,
     grid::OccupancyGrid,
     mapping::ServedLayer,
-    recording::{LogError, RecordedFrames},
+    recording::{LogError, Reading, RecordedFrames},
     report::{
         self, CameraSummary, Caption, HexDigest, Marker, MarkerKind, PassedEvent, SeenFloor,
         SeenMap, SeenRobot, SeenThing, WatchReport,
@@ -35,11 +35,14 @@ use crate::{
 /// [`RunError`] if the recording or the file of robots is invalid.
 pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     let started = time::Instant::now();
-    let mut frames = match &options.cameras {
-        Some(path) => placed(RecordedFrames::open_unplaced(&options.folders)?, path)?,
-        None => RecordedFrames::open(&options.folders)?,
-    };
-    let floors = floors::check(&options.folders, &mut frames, options.trust_floor)?;
+    let may_lack_poses = options.cameras.is_some();
+    let reading = Reading { may_lack_poses, depth_per_metre: options.unit.per_metre };
+    let mut frames = RecordedFrames::open_with(&options.folders, reading)?;
+    if let Some(path) = &options.cameras {
+        frames = placed(frames, path)?;
+    }
+    let samples = RecordedFrames::open_with(&options.folders, reading)?;
+    let floors = floors::check(samples, &mut frames, options.trust_floor)?;
     frames.notes().iter().for_each(|note| log::info!("{note}"));
     let registry = robots_file::find(options.robots.as_deref(), &options.folders)?;
     let config = Config {
@@ -159,15 +162,7 @@ impl Seen<'_> {
     }
 
     fn map(&self, map: &OccupancyGrid, coverage: &OccupancyGrid) -> SeenMap {
-        let counts = map.counts();
-        SeenMap {
-            resolution_m: map.resolution_m(),
-            known: counts.known as u64,
-            free: counts.free as u64,
-            occupied: counts.occupied as u64,
-            in_view: coverage.counts().known as u64,
-            digest: HexDigest(self.deployment.server().fused().digest().0),
-        }
+        SeenMap::new(map, coverage, HexDigest(self.deployment.server().fused().digest().0))
     }
 
     /// The figures of each camera. Warns of cameras that have contributed nothing.

@@ -213,6 +213,26 @@ fn add_floors(dice: &mut impl Rng, instance: &mut Instance) {
     }
 }
 
+/// A ring whose landmarks are markers of known heights, placed where their rays meet the floor that the
+/// camera sees, as in recordings: the error of a floor is common to the landmarks of its camera.
+pub(crate) fn placed_by_floors(seed: u64) -> Instance {
+    let mut instance = Ring { noise: None, ..Ring::averaged() }.draw(seed);
+    let mut dice = ChaCha8Rng::seed_from_u64(!seed);
+    let noise = PointNoise::new(0.002, DepthNoise::new(0.002, 0.0).unwrap()).unwrap();
+    for (camera, pose) in instance.observations.cameras.iter_mut().zip(&instance.truth) {
+        let floor = camera.floor.as_mut().unwrap();
+        floor.places_landmarks = true;
+        for landmark in &mut camera.landmarks {
+            let height_m = (pose * landmark.position).z;
+            let ray = landmark.position.coords;
+            let along = (height_m - floor.height_m) / floor.normal.dot(&ray);
+            landmark.position = measured(&mut dice, &Point3::from(ray * along), &noise);
+            landmark.noise = noise;
+        }
+    }
+    instance
+}
+
 /// Exchanges two labels in one camera.
 fn swap(instance: &mut Instance, camera: usize, [one, other]: [String; 2]) {
     for landmark in &mut instance.observations.cameras[camera].landmarks {

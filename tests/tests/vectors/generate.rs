@@ -31,6 +31,8 @@ mod first_steps;
 mod repair;
 #[path = "rows.rs"]
 mod rows;
+#[path = "seals.rs"]
+mod seals;
 #[path = "session.rs"]
 mod session;
 #[path = "timing.rs"]
@@ -53,6 +55,7 @@ pub(super) fn all() -> Vec<(&'static str, Value)> {
         ("rows", rows::rows()),
         ("repair", repair::repair()),
         ("session", session::session()),
+        ("seals", seals::seals()),
         ("digests", digests()),
         ("handshake", json!({ "transcript": transcript(), "answers": answers() })),
         ("window", window()),
@@ -180,8 +183,8 @@ fn frames() -> Value {
             "handshake of another version",
             TO_SERVER,
             0,
-            Header { version: 7, ..header(FrameKind::Handshake, 0) },
-            message::<ToServer>(&Hello { version: 7, min_version: 6, ..small_hello() }),
+            Header { version: 3, ..header(FrameKind::Handshake, 0) },
+            message::<ToServer>(&Hello { version: 3, min_version: 2, ..small_hello() }),
         ),
     ];
     let case =
@@ -1129,7 +1132,7 @@ fn refused_payloads() -> Value {
 }
 
 fn refused_messages() -> Value {
-    let cases: [(&str, Direction, u8, &[u8]); 29] = [
+    let cases: [(&str, Direction, u8, &[u8]); 30] = [
         ("hello cut short", TO_SERVER, 1, &[1, 1, 1, 99, 0xFA, 1, 100]),
         (
             "hello, a nonce of more than 32 bits",
@@ -1187,6 +1190,7 @@ fn refused_messages() -> Value {
             &[0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x02, 0],
         ),
         ("refusal, a reason that there is not", TO_ROBOT, 5, &[99, 5, 0]),
+        ("refusal, a frame of 17 bits", TO_ROBOT, 5, &[99, 2, 0x80, 0x80, 0x04]),
         ("pose fix, too many earlier ones", TO_ROBOT, 4, &{
             let mut body = [0; 9 + 16];
             body[8] = 4;

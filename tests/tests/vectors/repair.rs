@@ -22,9 +22,13 @@ const ID: TileId = TileId { x: 0, y: 0 };
 /// What arrives at the holder of a replica.
 enum Told {
     /// A whole tile.
-    Tile(Stamp, Tile),
+    Tile(Stamp, Box<Tile>),
     /// A digest.
     Digest(Stamp, u32),
+}
+
+fn whole(stamp: Stamp, tile: Tile) -> Told {
+    Told::Tile(stamp, Box::new(tile))
 }
 
 fn update(stamp: Stamp, tile: &Tile) -> Vec<u8> {
@@ -46,39 +50,39 @@ pub(super) fn repair() -> Value {
 
 /// A robot whose server has epoch 2.
 fn at_a_robot() -> Vec<Value> {
-    use Told::{Digest, Tile as Whole};
+    use Told::Digest;
     let (now, later) = (room(), room_later());
     let hash = tile_hash;
     let none = hash(&Tile::UNKNOWN);
     let cases: Vec<(&str, Vec<Told>)> = vec![
-        ("both agree", vec![Whole(stamp(2, 1), now), Digest(stamp(2, 1), hash(&now))]),
-        ("nothing is held", vec![Digest(stamp(2, 3), hash(&now)), Whole(stamp(2, 3), now)]),
+        ("both agree", vec![whole(stamp(2, 1), now), Digest(stamp(2, 1), hash(&now))]),
+        ("nothing is held", vec![Digest(stamp(2, 3), hash(&now)), whole(stamp(2, 3), now)]),
         (
             "other cells under one stamp",
             vec![
-                Whole(stamp(2, 1), later),
+                whole(stamp(2, 1), later),
                 Digest(stamp(2, 1), hash(&now)),
-                Whole(stamp(2, 1), now),
+                whole(stamp(2, 1), now),
                 Digest(stamp(2, 1), hash(&now)),
             ],
         ),
         (
             "a newer state is held, of an earlier life of the server",
             vec![
-                Whole(stamp(2, 5), later),
+                whole(stamp(2, 5), later),
                 Digest(stamp(2, 2), hash(&now)),
-                Whole(stamp(2, 2), now),
+                whole(stamp(2, 2), now),
             ],
         ),
         (
             "an older state is held",
             vec![
-                Whole(stamp(2, 1), now),
+                whole(stamp(2, 1), now),
                 Digest(stamp(2, 2), hash(&later)),
-                Whole(stamp(2, 2), later),
+                whole(stamp(2, 2), later),
             ],
         ),
-        ("the server has nothing", vec![Whole(stamp(2, 5), later), Digest(stamp(2, 0), none)]),
+        ("the server has nothing", vec![whole(stamp(2, 5), later), Digest(stamp(2, 0), none)]),
         ("neither has anything", vec![Digest(stamp(2, 0), none)]),
     ];
     let case = |(name, told): (&str, Vec<Told>)| {
@@ -90,7 +94,7 @@ fn at_a_robot() -> Vec<Value> {
             .iter()
             .map(|told| {
                 let sent = match *told {
-                    Whole(stamp, ref tile) => {
+                    Told::Tile(stamp, ref tile) => {
                         let coded = update(stamp, tile);
                         map.update(Layer::Fused, &coded, |_| ()).unwrap();
                         let head = TileUpdateHead { layer: Layer::Fused, seconds: 60 };
@@ -122,39 +126,39 @@ fn at_a_robot() -> Vec<Value> {
 }
 
 fn at_a_server() -> Vec<Value> {
-    use Told::{Digest, Tile as Whole};
+    use Told::Digest;
     let (now, later) = (room(), room_later());
     let hash = tile_hash;
     let cases: Vec<(&str, Vec<Told>)> = vec![
-        ("both agree", vec![Whole(stamp(1, 1), now), Digest(stamp(1, 1), hash(&now))]),
-        ("nothing is held", vec![Digest(stamp(1, 3), hash(&now)), Whole(stamp(1, 3), now)]),
+        ("both agree", vec![whole(stamp(1, 1), now), Digest(stamp(1, 1), hash(&now))]),
+        ("nothing is held", vec![Digest(stamp(1, 3), hash(&now)), whole(stamp(1, 3), now)]),
         (
             "other cells under one stamp",
             vec![
-                Whole(stamp(1, 1), later),
+                whole(stamp(1, 1), later),
                 Digest(stamp(1, 1), hash(&now)),
-                Whole(stamp(1, 1), now),
+                whole(stamp(1, 1), now),
                 Digest(stamp(1, 1), hash(&now)),
             ],
         ),
         (
             "an older state is held",
             vec![
-                Whole(stamp(1, 1), now),
+                whole(stamp(1, 1), now),
                 Digest(stamp(1, 2), hash(&later)),
-                Whole(stamp(1, 2), later),
+                whole(stamp(1, 2), later),
             ],
         ),
         (
             "a newer state is held: the digest is late",
-            vec![Whole(stamp(1, 2), now), Digest(stamp(1, 1), hash(&later))],
+            vec![whole(stamp(1, 2), now), Digest(stamp(1, 1), hash(&later))],
         ),
         (
             "a closed epoch: the digest is late",
             vec![
-                Whole(stamp(1, 1), now),
-                Whole(stamp(2, 1), now),
-                Whole(stamp(3, 1), later),
+                whole(stamp(1, 1), now),
+                whole(stamp(2, 1), now),
+                whole(stamp(3, 1), later),
                 Digest(stamp(1, 9), hash(&later)),
             ],
         ),
@@ -170,13 +174,13 @@ fn at_a_server() -> Vec<Value> {
             .iter()
             .map(|told| {
                 let sent = match *told {
-                    Whole(stamp, ref tile) => {
+                    Told::Tile(stamp, ref tile) => {
                         let head = TileUpdateHead { layer: Layer::Robot, seconds: 60 };
                         message_with::<ToServer>(&head, &update(stamp, tile))
                     }
                     Digest(stamp, hash) => message::<ToServer>(&digests(Layer::Robot, stamp, hash)),
                 };
-                let (Whole(stamp, _) | Digest(stamp, _)) = told;
+                let (Told::Tile(stamp, _) | Digest(stamp, _)) = told;
                 let read = Messages::<ToServer>::new(&sent).next().unwrap().unwrap();
                 let frame = robot.frame(at, |writer| writer.push_encoded(read));
                 server.receive(0, &frame, at).unwrap();

@@ -126,9 +126,9 @@ fn act(room: &mut Room<'_>, seconds: f64) {
     let pose = Pose::from_metres(0.5 + 0.08 * seconds, 0.4, 0.2 + 0.02 * seconds);
     let now = room.robot_now();
     room.robot.odometry(now, pose, now);
-    if tenths % 3 == 0 {
+    if tenths.is_multiple_of(3) {
         let robots = vec![Sighting::usual(RobotId(7), pose)];
-        let cells = if tenths % 6 == 0 { seen(seconds) } else { Vec::new() };
+        let cells = if tenths.is_multiple_of(6) { seen(seconds) } else { Vec::new() };
         let captured = room.server_now();
         room.server.observe(&Observation { captured, robots, cells, ..Observation::default() });
     }

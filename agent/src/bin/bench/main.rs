@@ -13,6 +13,8 @@ mod ending;
 mod locate;
 mod memory;
 mod planes;
+#[cfg(feature = "seals")]
+mod seals;
 mod sense;
 mod standing;
 mod table;
@@ -88,6 +90,8 @@ fn run(bench: &mut Bench, memory: &mut Memory<impl Storage>) -> Option<()> {
     drive::run(bench)?;
     standing::run(bench, memory, sensor(), &readings)?;
     receive(bench, memory)?;
+    #[cfg(feature = "seals")]
+    seals::run(bench)?;
     memory::run();
     Some(())
 }

@@ -5,6 +5,12 @@
 
 use core::fmt;
 
+#[cfg(feature = "seals")]
+use ascon_aead::{
+    AsconAead128,
+    aead::{AeadInOut, KeyInit},
+};
+
 /// Size of a key in bytes.
 pub const KEY_LEN: usize = 16;
 /// Size of an authentication tag in bytes.
@@ -42,55 +48,51 @@ impl fmt::Debug for Key {
 }
 
 #[cfg(feature = "seals")]
-mod present {
-    use ascon_aead::{
-        AsconAead128,
-        aead::{AeadInOut, KeyInit},
-    };
+impl Key {
+    /// A key from its bytes, which must be random.
+    pub const fn new(bytes: [u8; KEY_LEN]) -> Self {
+        Self(bytes)
+    }
 
-    use super::{KEY_LEN, Key, NONCE_LEN, SealSupport, TAG_LEN};
+    /// Proof that this build can seal.
+    pub fn support(&self) -> SealSupport {
+        SealSupport::PRESENT
+    }
 
-    impl Key {
-        /// A key from its bytes, which must be random.
-        pub const fn new(bytes: [u8; KEY_LEN]) -> Self {
-            Self(bytes)
-        }
+    /// Encrypts `text` in place. Returns the tag, which also covers `clear`. A nonce must not
+    /// be used twice with one key.
+    // Not inlined: it is called for several kinds of frames, and flash is scarce.
+    #[inline(never)]
+    pub(super) fn seal(
+        &self,
+        nonce: &[u8; NONCE_LEN],
+        clear: &[u8],
+        text: &mut [u8],
+    ) -> [u8; TAG_LEN] {
+        let cipher = AsconAead128::new(&self.0.into());
+        let tag = cipher.encrypt_inout_detached(&(*nonce).into(), clear, text.into());
+        // It fails only beyond 2^64 bytes.
+        tag.map_or([0; TAG_LEN], Into::into)
+    }
 
-        /// Proof that this build can seal.
-        pub fn support(&self) -> SealSupport {
-            SealSupport::PRESENT
-        }
+    /// Decrypts `text` in place if the tag is good. Otherwise returns false, and `text` is
+    /// zeroed.
+    #[inline(never)]
+    pub(super) fn open(
+        &self,
+        nonce: &[u8; NONCE_LEN],
+        clear: &[u8],
+        text: &mut [u8],
+        tag: &[u8; TAG_LEN],
+    ) -> bool {
+        let cipher = AsconAead128::new(&self.0.into());
+        let (nonce, tag) = ((*nonce).into(), (*tag).into());
+        cipher.decrypt_inout_detached(&nonce, clear, text.into(), &tag).is_ok()
+    }
 
-        /// Encrypts `text` in place. Returns the tag, which also covers `clear`. A nonce must not
-        /// be used twice with one key.
-        // Not inlined: it is called for several kinds of frames, and flash is scarce.
-        #[inline(never)]
-        pub(in super::super) fn seal(
-            &self,
-            nonce: &[u8; NONCE_LEN],
-            clear: &[u8],
-            text: &mut [u8],
-        ) -> [u8; TAG_LEN] {
-            let cipher = AsconAead128::new(&self.0.into());
-            let tag = cipher.encrypt_inout_detached(&(*nonce).into(), clear, text.into());
-            // It fails only beyond 2^64 bytes.
-            tag.map_or([0; TAG_LEN], Into::into)
-        }
-
-        /// Decrypts `text` in place if the tag is good. Otherwise returns false, and `text` is
-        /// zeroed.
-        #[inline(never)]
-        pub(in super::super) fn open(
-            &self,
-            nonce: &[u8; NONCE_LEN],
-            clear: &[u8],
-            text: &mut [u8],
-            tag: &[u8; TAG_LEN],
-        ) -> bool {
-            let cipher = AsconAead128::new(&self.0.into());
-            let (nonce, tag) = ((*nonce).into(), (*tag).into());
-            cipher.decrypt_inout_detached(&nonce, clear, text.into(), &tag).is_ok()
-        }
+    /// A key that was derived from this one.
+    pub(super) fn derived(&self, bytes: [u8; KEY_LEN]) -> Self {
+        Self(bytes)
     }
 }
 
@@ -120,15 +122,8 @@ impl Key {
     }
 }
 
+#[cfg(test)]
 #[cfg(feature = "seals")]
-impl Key {
-    /// A key that was derived from this one.
-    pub(super) fn derived(&self, bytes: [u8; KEY_LEN]) -> Self {
-        Self(bytes)
-    }
-}
-
-#[cfg(all(test, feature = "seals"))]
 mod tests {
     use super::*;
 

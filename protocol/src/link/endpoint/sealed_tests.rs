@@ -245,7 +245,12 @@ fn open_and_sealed_ends_refuse_each_other() {
     open.begin(SESSION, 250);
     let mut server = end::<ToRobot>();
     assert!(arrive(&mut server, &send(&mut open, 1, None), 0).0.is_empty());
-    assert_eq!(server.counters().refused, 1);
+    assert_eq!((server.counters().bad, server.counters().refused), (1, 0));
+    // A handshake frame of an open robot is told from noise.
+    let mut out = [0u8; 64];
+    let len = open.handshake(&numbered(1), &mut out).unwrap();
+    assert!(arrive(&mut server, &out[..len], 0).0.is_empty());
+    assert_eq!((server.counters().bad, server.counters().refused), (1, 1));
     let mut server = End::<ToRobot>::new();
     server.begin(SESSION, 250);
     assert!(arrive(&mut server, &send(&mut sealed, 1, None), 0).0.is_empty());

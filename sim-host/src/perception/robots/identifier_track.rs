@@ -109,6 +109,24 @@ impl IdentifierTrack {
         is_sure.then_some(placement)
     }
 
+    /// Where the robot is at a moment by cameras other than this one; `None` if it is in trouble, or none has
+    /// just seen it.
+    pub(super) fn by_others(&self, camera: usize, moment: Instant) -> Option<Placement> {
+        let [place] = &self.places[..] else { return None };
+        let velocity = place.velocity();
+        let others = place.sightings.iter().filter(|&(&other, &(then, _))| {
+            other != camera && apart(then, moment) <= SIGHTINGS_JOIN
+        });
+        let nearest = others.min_by_key(|&(_, &(then, _))| apart(then, moment));
+        nearest.map(|(_, (then, seen))| {
+            if *then <= moment {
+                moved(seen, velocity, moment.since(*then))
+            } else {
+                moved(seen, -velocity, then.since(moment))
+            }
+        })
+    }
+
     /// The current trouble, reported once.
     pub(super) fn poll_trouble(&mut self) -> Option<Trouble> {
         let trouble = self.trouble.filter(|_| !self.is_told);

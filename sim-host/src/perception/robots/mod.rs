@@ -20,7 +20,10 @@ use self::{
     identifier_track::{IdentifierTrack, Trouble},
     search::{Expected, Search},
 };
-use super::markers::{Identifier, Marker, Mount, Placement, locate};
+use super::{
+    markers::{Identifier, Marker, Mount, Placement, locate},
+    steadiness::Witness,
+};
 use crate::{
     camera::{Calibration, Frame, Lens, Sighting},
     timing::{STRANGER_AWAY, STRANGER_CONFIRMED},
@@ -61,6 +64,8 @@ pub struct Localiser {
     out: BTreeSet<usize>,
     /// Cameras whose last frame had a capture time in the future.
     ahead: BTreeSet<usize>,
+    /// The markers in the last frame whose robots other cameras have just seen.
+    witnesses: Vec<Witness>,
     events: VecDeque<(Instant, SightingEvent)>,
 }
 
@@ -104,6 +109,7 @@ impl Localiser {
             strangers: BTreeMap::new(),
             out: BTreeSet::new(),
             ahead: BTreeSet::new(),
+            witnesses: Vec::new(),
             events: VecDeque::new(),
         })
     }
@@ -112,6 +118,7 @@ impl Localiser {
     /// cameras at about that time. A frame that arrives after newer ones of other cameras
     /// contributes to the next pose. A frame that is too old, or captured after `now`, is ignored.
     pub fn observe(&mut self, frame: &Frame, now: Instant) -> Vec<Sighting> {
+        self.witnesses.clear();
         let Some(&Some(lens)) = self.lenses.get(frame.camera) else { return Vec::new() };
         let Some(picture) = &frame.picture else { return Vec::new() };
         let (camera, captured) = (frame.camera, frame.captured);
@@ -122,11 +129,13 @@ impl Localiser {
             return Vec::new();
         }
         self.ahead.remove(&camera);
+        let expected: Vec<Expected> = self.expected(captured).collect();
+        let markers = self.search.markers(camera, captured, picture, &lens, &expected);
+        self.witnesses =
+            markers.iter().filter_map(|it| self.witness(camera, captured, it)).collect();
         if self.out.contains(&camera) {
             return Vec::new();
         }
-        let expected: Vec<Expected> = self.expected(captured).collect();
-        let markers = self.search.markers(camera, captured, picture, &lens, &expected);
         let mut located: BTreeMap<Identifier, Vec<Placement>> = BTreeMap::new();
         for marker in &markers {
             if let Some(placement) = self.place(&lens, marker, captured) {
@@ -148,6 +157,18 @@ impl Localiser {
             sightings.extend(placement.map(|it| sighting(mount.robot, &it)));
         }
         sightings
+    }
+
+    /// The markers in the last frame whose robots other cameras have just seen.
+    pub(super) fn witnesses(&self) -> &[Witness] {
+        &self.witnesses
+    }
+
+    fn witness(&self, camera: usize, captured: Instant, marker: &Marker) -> Option<Witness> {
+        let mount = self.mounts.get(&marker.identifier)?;
+        let place = self.tracks.get(&marker.identifier)?.by_others(camera, captured)?;
+        let (points, height_m) = (mount.points(marker.identifier), mount.height_m);
+        Some(Witness { marker: marker.clone(), points, height_m, place })
     }
 
     /// Ignores a camera whose pose is not known, or no longer does.

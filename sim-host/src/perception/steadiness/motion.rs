@@ -29,6 +29,11 @@ impl Motion {
         Self { information, weighted: information * value }
     }
 
+    /// The motion with this information, and this product of both.
+    pub(super) fn weighted(weighted: Vector6<f64>, information: Matrix6<f64>) -> Self {
+        Self { information, weighted }
+    }
+
     /// Both estimates of one motion together.
     #[must_use]
     pub fn with(&self, other: &Self) -> Self {

@@ -4,6 +4,10 @@
 //! that it sees counts. If the next images say the same, it is **out** until its new pose is known well
 //! enough; a view that half hides behind people or things says nothing. What is too little for a knock, but
 //! lasts, is a drift, and followed.
+//!
+//! Neighbours are heard where the view says nothing, such as the heading of a camera above a bare floor. They
+//! can only accuse a camera with which they once agreed, since a camera may never have been calibrated well;
+//! and if two cameras accuse each other, and the view of neither can tell, neither is left out.
 
 use nalgebra::Isometry3;
 use ubimap_protocol::time::{Duration, Instant};
@@ -11,13 +15,13 @@ use ubimap_protocol::time::{Duration, Instant};
 use super::{
     motion::{Motion, lengths, motion, transform},
     view::{Aligned, View},
+    witness::Witness,
 };
-use crate::camera::{DepthNoise, Intrinsics};
+use crate::camera::{Calibration, DepthNoise, Intrinsics};
 
 /// Motions above which a camera was knocked, in metres and radians: half of 3 cm and of 2 degrees, which
 /// are to be noticed.
-const KNOCK_M: f64 = 0.015;
-const KNOCK_RAD: f64 = 0.017_5;
+const KNOCK: [f64; 2] = [0.015, 0.017_5];
 /// Minimum squared Mahalanobis distance of a motion from none: one in 10^8 of those that are none with six
 /// degrees of freedom.
 const CLEAR: f64 = 50.0;
@@ -37,12 +41,26 @@ const KNOWN_RAD: f64 = 0.001_7;
 const RETURN_LOOKS: u32 = 20;
 /// The part of an image's information that counts: errors of the sensor and of the view don't average out.
 const COUNTS: f64 = 0.25;
+/// The times over which an image and a neighbour's word count in a steady camera, in seconds.
+const IMAGE_S: f64 = 1.0;
+const WORD_S: f64 = 2.0;
+/// Minimum interval between two words about a camera, and distance between the robot's places for a camera
+/// that is out, in metres.
+const WORD_INTERVAL: Duration = Duration::from_millis(190);
+const WORD_APART_M: f64 = 0.05;
+/// Number of words without a contradiction after which neighbours agree with a camera.
+const AGREED: u32 = 10;
+/// Maximum motion after which the view that was learnt still serves to find the new pose, in metres and
+/// radians.
+const FARTHEST_M: f64 = 0.5;
+const FARTHEST_RAD: f64 = 0.2;
 /// The time over which a drift is averaged, and the part of that information that counts.
-const DRIFT_OVER_S: f64 = 60.0;
+const DRIFT_OVER_S: f64 = 120.0;
 const DRIFT_COUNTS: f64 = 0.1;
 /// Motions above which a drift is followed, in metres and radians.
-const DRIFT_M: f64 = 0.002;
-const DRIFT_RAD: f64 = 0.000_7;
+const DRIFT: [f64; 2] = [0.002, 0.000_7];
+/// Like [`CLEAR`], for a drift: a wrong correction costs little.
+const CLEAR_DRIFT: f64 = 20.0;
 /// Distances of drift after which the view is learnt anew, in metres and radians.
 const RENEWED_M: f64 = 0.005;
 const RENEWED_RAD: f64 = 0.005;
@@ -73,6 +91,9 @@ pub enum Change {
     Returned(Isometry3<f64>),
     /// It has drifted to this pose.
     Drifted(Isometry3<f64>),
+    /// It and another camera contradict each other about the places of robots, and the views of both can't
+    /// tell which has moved.
+    Disputed,
 }
 
 /// The watch over one camera. Poses are those of its depth sensor's optical frame in `map`.
@@ -89,6 +110,14 @@ pub struct Steadiness {
     looks: u32,
     /// While it is steady, the drift; while it is out, the motion relative to `moved`.
     gathered: Motion,
+    /// The motion relative to `moved` by the last images, and by the neighbours.
+    recent: Motion,
+    words: Motion,
+    last_word: Instant,
+    /// The number of words without a contradiction.
+    agreed: u32,
+    /// The places of robots that neighbours have spoken of, while the camera is out.
+    places: Vec<[f64; 2]>,
     /// The last image, and the last that showed the camera in its place.
     last: Instant,
     vouched: Instant,
@@ -113,6 +142,11 @@ impl Steadiness {
             since: Instant(0),
             looks: 0,
             gathered: Motion::UNKNOWN,
+            recent: Motion::UNKNOWN,
+            words: Motion::UNKNOWN,
+            last_word: Instant(0),
+            agreed: 0,
+            places: Vec::new(),
             last: Instant(0),
             vouched: Instant(0),
         }
@@ -128,8 +162,48 @@ impl Steadiness {
         self.origin * self.moved
     }
 
-    /// Takes the next depth image, which has the size of the sensor's. Late images are ignored.
-    pub fn look(&mut self, depths: &[u16], captured: Instant) -> Option<Change> {
+    /// Takes what neighbours say of the markers in a picture. `calibration` is the camera's, at any pose.
+    pub fn hear(&mut self, calibration: &Calibration, seen: &[Witness], captured: Instant) {
+        if !self.view.is_learnt() || seen.is_empty() || captured < self.last_word + WORD_INTERVAL {
+            return;
+        }
+        let Ok(here) = calibration.at(self.pose()) else { return };
+        let seconds = captured.since(self.last_word).micros() as f64 / 1e6;
+        self.last_word = captured;
+        let is_out = self.standing == Standing::Out;
+        if !is_out {
+            self.words = self.words.faded(libm::exp(-seconds / WORD_S));
+        }
+        for witness in seen {
+            let [x, y] = witness.place.position_m;
+            let is_near = |[a, b]: &[f64; 2]| libm::hypot(a - x, b - y) < WORD_APART_M;
+            if is_out && self.places.iter().any(is_near) {
+                continue;
+            }
+            if let Some(motion) = witness.motion(&here) {
+                self.words = self.words.with(&motion.faded(COUNTS));
+                if is_out {
+                    self.places.push([x, y]);
+                }
+            }
+        }
+        if !is_out {
+            let contradict = is_beyond(&self.words, KNOCK, CLEAR);
+            self.agreed = self.agreed.saturating_add(u32::from(!contradict));
+        }
+    }
+
+    /// Whether the neighbours say that a camera has moved, and its view does not deny it.
+    pub fn is_accused(&self) -> bool {
+        self.agreed >= AGREED
+            && self.standing != Standing::Out
+            && is_beyond(&self.words, KNOCK, CLEAR)
+            && is_beyond(&self.recent.with(&self.words), KNOCK, CLEAR)
+    }
+
+    /// Takes the next depth image, which has the size of the sensor's; `is_accused` says whether the
+    /// neighbours accuse this camera and no other. Late images are ignored.
+    pub fn look(&mut self, depths: &[u16], captured: Instant, is_accused: bool) -> Option<Change> {
         if captured < self.last {
             return None;
         }
@@ -140,9 +214,24 @@ impl Steadiness {
             self.vouched = captured;
             return None;
         }
-        let says = self.says(depths);
+        let seconds = elapsed.micros() as f64 / 1e6;
+        self.recent = self.recent.faded(libm::exp(-seconds / IMAGE_S));
+        let says = match self.says(depths) {
+            Says::Steady(aligned) => {
+                self.recent = self.recent.with(&aligned.motion.faded(COUNTS));
+                let (joint, _) = self.recent.with(&self.words).estimate()?;
+                let pose = self.moved * transform(&joint);
+                // Where a view tells a direction badly, one image is not enough.
+                if is_accused || is_beyond(&self.recent, KNOCK, CLEAR) {
+                    Says::Moved(Aligned { pose, ..aligned })
+                } else {
+                    Says::Steady(aligned)
+                }
+            }
+            says => says,
+        };
         match self.standing {
-            Standing::Steady => self.stay(says, depths, captured, elapsed),
+            Standing::Steady => self.stay(says, depths, captured, seconds),
             Standing::Doubtful => self.doubt(says, captured),
             Standing::Out => self.gather(says),
         }
@@ -154,11 +243,7 @@ impl Steadiness {
             return if aligned.farther > ELSEWHERE { Says::Elsewhere } else { Says::Nothing };
         }
         let motion = aligned.motion.faded(COUNTS);
-        if is_beyond(&motion, KNOCK_M, KNOCK_RAD) {
-            Says::Moved(aligned)
-        } else {
-            Says::Steady(aligned)
-        }
+        if is_beyond(&motion, KNOCK, CLEAR) { Says::Moved(aligned) } else { Says::Steady(aligned) }
     }
 
     fn stay(
@@ -166,7 +251,7 @@ impl Steadiness {
         says: Says,
         depths: &[u16],
         captured: Instant,
-        elapsed: Duration,
+        seconds: f64,
     ) -> Option<Change> {
         match says {
             Says::Nothing => None,
@@ -178,7 +263,6 @@ impl Steadiness {
             Says::Steady(aligned) => {
                 self.vouched = captured;
                 self.view.learn(depths, captured);
-                let seconds = elapsed.micros() as f64 / 1e6;
                 let kept = libm::exp(-seconds / DRIFT_OVER_S);
                 self.gathered = self.gathered.faded(kept).with(&aligned.motion.faded(DRIFT_COUNTS));
                 self.follow()
@@ -188,11 +272,12 @@ impl Steadiness {
 
     /// Follows a drift.
     fn follow(&mut self) -> Option<Change> {
-        if !is_beyond(&self.gathered, DRIFT_M, DRIFT_RAD) {
+        // The noise of a new view would pass for a drift.
+        if !self.view.is_settled() || !is_beyond(&self.gathered, DRIFT, CLEAR_DRIFT) {
             return None;
         }
         let (drift, _) = self.gathered.estimate()?;
-        self.gathered = Motion::UNKNOWN;
+        self.forget();
         self.moved *= transform(&drift);
         let [metres, radians] = lengths(&motion(&self.moved));
         if metres > RENEWED_M || radians > RENEWED_RAD {
@@ -229,8 +314,16 @@ impl Steadiness {
     /// Begins to gather the motion, relative to what is known so far.
     fn begin(&mut self, found: Option<Isometry3<f64>>) {
         self.moved = found.unwrap_or(self.moved);
-        self.gathered = Motion::UNKNOWN;
+        self.forget();
         self.looks = 0;
+    }
+
+    /// Forgets all that is relative to a motion that has been corrected.
+    fn forget(&mut self) {
+        self.gathered = Motion::UNKNOWN;
+        self.recent = Motion::UNKNOWN;
+        self.words = Motion::UNKNOWN;
+        self.places.clear();
     }
 
     /// Gathers the motion of a camera that is out.
@@ -247,12 +340,22 @@ impl Steadiness {
                 self.looks += 1;
             }
         }
-        let [metres, radians] = self.gathered.doubt()?;
+        let joint = self.gathered.with(&self.words);
+        let (rest, _) = joint.estimate()?;
+        if is_beyond(&joint, KNOCK, CLEAR) {
+            self.begin(Some(self.moved * transform(&rest)));
+            return None;
+        }
+        let [metres, radians] = joint.doubt()?;
         if self.looks < RETURN_LOOKS || metres > KNOWN_M || radians > KNOWN_RAD {
             return None;
         }
-        let (rest, _) = self.gathered.estimate()?;
-        self.moved *= transform(&rest);
+        let found = self.moved * transform(&rest);
+        let [metres, radians] = lengths(&motion(&found));
+        if metres > FARTHEST_M || radians > FARTHEST_RAD {
+            return None;
+        }
+        self.moved = found;
         self.standing = Standing::Steady;
         self.renew();
         Some(Change::Returned(self.pose()))
@@ -262,15 +365,17 @@ impl Steadiness {
     fn renew(&mut self) {
         self.origin = self.pose();
         self.moved = Isometry3::identity();
-        self.gathered = Motion::UNKNOWN;
+        self.forget();
+        self.agreed = 0;
         self.view.clear();
     }
 }
 
-/// Whether a motion clearly exceeds one of two limits, in metres and radians.
-fn is_beyond(motion: &Motion, metres: f64, radians: f64) -> bool {
+/// Whether a motion exceeds one of two limits, in metres and radians, and by its squared Mahalanobis
+/// distance is clearly not none.
+fn is_beyond(motion: &Motion, [metres, radians]: [f64; 2], clear: f64) -> bool {
     motion.estimate().is_some_and(|(value, _)| {
         let [shift, turn] = lengths(&value);
-        (shift > metres || turn > radians) && motion.distance(&value) > CLEAR
+        (shift > metres || turn > radians) && motion.distance(&value) > clear
     })
 }

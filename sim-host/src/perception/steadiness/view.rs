@@ -22,6 +22,8 @@ const INTERVAL: Duration = Duration::from_millis(280);
 const MEASURED: usize = 8;
 /// Interval at which a view is improved.
 const IMPROVED: Duration = Duration::from_millis(950);
+/// Number of improvements after which a view is settled.
+const SETTLED: u32 = 60;
 /// Maximum number of depths in the mean of a pixel.
 const MEAN_OF: u32 = 100;
 /// Number of improvements after which something else becomes part of the view.
@@ -58,7 +60,7 @@ pub struct View {
     samples: Vec<Sample>,
     planes: Vec<Plane>,
     due: Instant,
-    /// Improvements since the planes were computed.
+    /// Improvements since the first images.
     improved: u32,
 }
 
@@ -121,6 +123,11 @@ impl View {
         !self.planes.is_empty()
     }
 
+    /// Whether so many images were learnt that their noise hardly matters.
+    pub(super) fn is_settled(&self) -> bool {
+        self.is_learnt() && self.improved >= SETTLED
+    }
+
     /// Learns from an image of a camera that stands still.
     pub fn learn(&mut self, depths: &[u16], captured: Instant) {
         if captured < self.due {
@@ -129,8 +136,8 @@ impl View {
         if self.is_learnt() {
             self.due = captured + IMPROVED;
             self.improve(depths);
-            self.improved += 1;
-            if self.improved < AGAIN {
+            self.improved = self.improved.saturating_add(1);
+            if !self.improved.is_multiple_of(AGAIN) {
                 return;
             }
         } else {
@@ -140,8 +147,8 @@ impl View {
                 return;
             }
             self.settle();
+            self.improved = 0;
         }
-        self.improved = 0;
         self.planes = (0..self.samples.len()).filter_map(|sample| self.plane(sample)).collect();
     }
 
@@ -150,6 +157,7 @@ impl View {
         self.first.clear();
         self.samples.fill(Sample::default());
         self.planes.clear();
+        self.improved = 0;
     }
 
     /// The motion of the camera since the view was learnt, if it explains an image; the search begins at

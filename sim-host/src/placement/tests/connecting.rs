@@ -2,7 +2,7 @@
 
 use super::{
     super::{
-        connection::{self, Connecting, bridge},
+        connection::{self, Connecting, Views, bridge},
         incidence::Incidence,
         programme::{ANY_OVERLAP, Demand, Goal, Programme},
     },
@@ -43,7 +43,7 @@ fn pieces_are_those_found_pair_by_pair() {
                 let all = 0..programme.candidates() as u32;
                 let chosen: Vec<u32> = all.filter(|it| bits & 1 << it != 0).collect();
                 for shared in [1, 2] {
-                    let pieces = connection::pieces(&programme, &chosen, shared);
+                    let pieces = connection::pieces(Views::of(&programme, shared), &chosen);
                     let count = pieces.iter().max().map_or(0, |last| last + 1);
                     assert_eq!(count, plain_pieces(&programme, &chosen, shared));
                 }
@@ -68,15 +68,16 @@ fn cameras_are_moved_if_that_connects_them() {
     let programme = corridor(18, 3);
     let start = [0, 4, 8, 12, 14];
     assert_eq!(plain_pieces(&programme, &start, 1), 4);
-    let mut search = Connecting::new(&programme, &start, 1, 0, 1);
-    search.run(20_000, 1);
+    let mut search = Connecting::new(&programme, Views::of(&programme, 1), &start, 0, 1);
+    search.run(20_000);
     let (pieces, chosen) = search.best().unwrap();
     assert_eq!((pieces, plain_pieces(&programme, chosen, 1)), (3, 3));
     assert!(programme.is_feasible(chosen) && chosen.len() == 5);
     // Over 16 cells one piece is possible.
     let programme = corridor(16, 3);
-    let mut search = Connecting::new(&programme, &[0, 4, 8, 11, 12], 1, 0, 1);
-    search.run(50_000, 1);
+    let mut search =
+        Connecting::new(&programme, Views::of(&programme, 1), &[0, 4, 8, 11, 12], 0, 1);
+    search.run(50_000);
     let (pieces, chosen) = search.best().unwrap();
     assert_eq!((pieces, plain_pieces(&programme, chosen, 1)), (1, 1), "{chosen:?}");
     assert!(programme.is_feasible(chosen));
@@ -88,14 +89,32 @@ fn cameras_are_added_if_moving_is_not_enough() {
         let programme = corridor(16, at_most);
         let start = [0, 4, 8, 12];
         assert_eq!(plain_pieces(&programme, &start, 1), 4);
-        let bridged = bridge(&programme, &start, 1, 1);
+        let bridged = bridge(&programme, Views::of(&programme, 1), &start, 1);
         assert_eq!(plain_pieces(&programme, &bridged, 1), 1, "{bridged:?}");
         assert!(programme.is_feasible(&bridged), "{bridged:?}");
         assert!(bridged.len() <= 7, "{bridged:?}");
     }
     // If no overlap is allowed, nothing can be connected, and the placement stays as it is.
     let programme = corridor(16, 1);
-    assert_eq!(bridge(&programme, &[0, 4, 8, 12], 1, 1), [0, 4, 8, 12]);
+    assert_eq!(bridge(&programme, Views::of(&programme, 1), &[0, 4, 8, 12], 1), [0, 4, 8, 12]);
+}
+
+#[test]
+fn narrower_views_connect_less() {
+    let programme = corridor(16, ANY_OVERLAP);
+    // Each picture shows the two middle ones of the four cells.
+    let rows = (0..=12u32).map(|first| [first + 1, first + 2]);
+    let sees = Incidence::from_rows(rows);
+    let seen_by = sees.transpose(16);
+    let views = Views { sees: &sees, seen_by: &seen_by, shared: 1 };
+    let start = [0, 3, 6, 9, 12];
+    assert_eq!(plain_pieces(&programme, &start, 1), 1);
+    let count = |chosen: &[u32]| connection::pieces(views, chosen).into_iter().max().unwrap() + 1;
+    assert_eq!(count(&start), 5);
+    let bridged = bridge(&programme, views, &start, 1);
+    assert_eq!(count(&bridged), 1, "{bridged:?}");
+    // From 0 to 12 in steps of one, as two steps share no cell.
+    assert_eq!(bridged.len(), 13);
 }
 
 #[test]
@@ -106,6 +125,6 @@ fn separate_rooms_stay_separate() {
         Programme::new(vec![demand; 6], Incidence::from_rows(rows), Goal::Fewest { weight: 0 });
     // Cells 0 to 2 form one room, 3 and 4 another; no candidate sees cell 5.
     assert_eq!(connection::fewest_pieces(&programme), 2);
-    let bridged = bridge(&programme, &[0, 1, 3], 1, 1);
+    let bridged = bridge(&programme, Views::of(&programme, 1), &[0, 1, 3], 1);
     assert_eq!(plain_pieces(&programme, &bridged, 1), 2);
 }

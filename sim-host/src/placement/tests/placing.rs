@@ -14,9 +14,11 @@ fn room(width: f64, depth: f64) -> FloorPlan {
 
 /// The request for the paper's programme, as in the table.
 fn request(spacing_m: f64) -> Request {
+    let model = CameraModel { horizontal_fov_deg: 69.0, vertical_fov_deg: 55.0, range_m: 10.0 };
     Request {
         projection: Projection::Paper,
-        model: CameraModel { horizontal_fov_deg: 69.0, vertical_fov_deg: 55.0, range_m: 10.0 },
+        model,
+        picture: model,
         choices: Choices {
             heights_m: vec![3.0],
             tilts_deg: vec![90.0],

@@ -1,31 +1,26 @@
 //! The folder of one recorded camera; [`frames`](super) describes its layout.
 
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use image::ColorType;
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix3, Translation3};
 
 use super::{
     error::FramesError,
     frame_times::{self, FrameTime, FrameTimes, TIMES_FILE},
+    images::{FrameImages, Images, pictures_in},
 };
 use crate::{
     camera::{self, Calibration, CalibrationError, DepthNoise, Lens},
     grid::raster,
     recording::{
-        camera_poses::{CameraPose, has_poses, read_poses},
+        camera_pose::CameraPose,
+        camera_poses::{at_times, has_poses, is_still, read_poses},
         error::{FrameFault, LogError},
-        intrinsics::{self, DepthNoiseFile, IntrinsicsFile},
+        intrinsics::{self, IntrinsicsFile},
         mounted::mounted,
-        numbered_files::{PICTURE_KINDS, depth_images, files_in, number_in},
     },
 };
-
-/// The folder of a camera's pictures.
-pub(super) const PICTURES: &str = "color";
 
 /// The intrinsics and poses of one sensor of a camera, as stated in the files.
 #[derive(Debug)]
@@ -36,14 +31,13 @@ pub(super) struct SensorFiles {
     poses: Vec<CameraPose>,
 }
 
-/// The image files of one frame.
+/// The files of one frame.
 #[derive(Debug)]
 pub(super) struct FrameFiles {
     pub(super) time: FrameTime,
     /// Index into [`CameraFolder::calibrations`].
     pub(super) calibration: usize,
-    pub(super) depth: Option<PathBuf>,
-    pub(super) picture: Option<PathBuf>,
+    pub(super) images: FrameImages,
 }
 
 /// A camera's folder.
@@ -66,27 +60,29 @@ pub(super) struct CameraFolder {
     pub(super) notes: Vec<String>,
 }
 
-/// Whether the poses of cameras must be stated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Placing {
-    /// Each folder, or `cameras.toml`, states the pose.
-    Stated,
-    /// A camera whose pose is not stated gets [`NOWHERE`].
-    Optional,
+/// How recorded frames are read.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reading {
+    /// Whether cameras may lack a stated pose, in their folders and in `cameras.toml`. They are then all at
+    /// one pose.
+    pub may_lack_poses: bool,
+    /// Units of the depth images per metre, instead of what the intrinsics state.
+    pub depth_per_metre: Option<f64>,
+}
+
+impl Reading {
+    /// Cameras may lack a stated pose.
+    pub const UNPLACED: Self = Self { may_lack_poses: true, depth_per_metre: None };
 }
 
 /// The pose of a camera that has none: one metre above the origin, looking along z.
 const NOWHERE: [f64; 3] = [0.0, 0.0, 1.0];
 
-/// The depth image and the picture of each frame, by number.
-type Images = BTreeMap<u128, (Option<PathBuf>, Option<PathBuf>)>;
-
 /// The camera folders in a folder: the folder itself if it is one, otherwise its subfolders in the
 /// order of their names.
 pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
-    let is_camera = |path: &Path| {
-        path.join("depth").is_dir() || path.join(PICTURES).is_dir() || has_poses(path)
-    };
+    let is_camera =
+        |path: &Path| path.join("depth").is_dir() || pictures_in(path).is_dir() || has_poses(path);
     if is_camera(path) {
         return Ok(vec![path.to_owned()]);
     }
@@ -110,37 +106,39 @@ pub(super) fn find(path: &Path) -> Result<Vec<PathBuf>, FramesError> {
 impl CameraFolder {
     /// Reads everything except the pixels, and checks that the images have the size stated in the
     /// intrinsics.
-    pub(super) fn open(path: &Path, placing: Placing) -> Result<Self, FramesError> {
-        let times_file = path.join(TIMES_FILE);
-        let (depth_files, picture_files) = image_files(path, times_file.is_file())?;
-        let has_pictures = !picture_files.is_empty();
-        let images = pair(&depth_files, picture_files)?;
+    pub(super) fn open(path: &Path, reading: Reading) -> Result<Self, FramesError> {
+        let mut images = Images::find(path)?;
+        let stated = frame_times::read(&path.join(TIMES_FILE))?;
+        let mut notes = Vec::new();
+        let timed = timed_poses(path, &mut images, stated.as_ref(), &mut notes)?;
+        let wanted = Wanted { folder: path, reading, frames: images.frames.len(), timed };
 
-        let (mut notes, mut depth, mut picture) = (Vec::new(), None, None);
-        if !depth_files.is_empty() {
-            depth = Some(SensorFiles::of_depth(path, placing, images.len(), &depth_files)?);
+        let (mut depth, mut picture) = (None, None);
+        let [first_depth, first_picture] = images.first();
+        if let Some(image) = first_depth {
+            depth = Some(SensorFiles::of_depth(&wanted, image)?);
         }
-        if has_pictures {
-            picture = Some(SensorFiles::of_pictures(path, placing, images.len(), depth.as_ref())?);
+        if first_picture.is_some() {
+            picture = Some(SensorFiles::of_pictures(&wanted, depth.as_ref())?);
         }
         check_sizes(&images, depth.as_ref(), picture.as_ref())?;
-        let calibrations = calibrations(path, images.len(), depth.as_ref(), picture.as_ref())?;
+        let calibrations = calibrations(path, wanted.frames, depth.as_ref(), picture.as_ref())?;
 
-        let stated = frame_times::read(&times_file)?;
+        let stated = stated.or(images.times.take());
         let has_clock = stated.is_some();
         let times = stated.unwrap_or_else(|| {
             let stamps = depth.as_ref().or(picture.as_ref()).and_then(SensorFiles::stamps);
-            let (times, note) = frame_times::by_rule(images.keys().copied(), stamps);
+            let (times, note) = frame_times::by_rule(images.frames.keys().copied(), stamps);
             notes.extend(note);
             times
         });
-        if images.is_empty() {
+        if images.frames.is_empty() {
             notes.push("no image in it: all its frames were lost".to_owned());
         }
         let is_placed =
-            has_poses(path) || has_poses(&path.join(PICTURES)) || mounted(path)?.is_some();
-        let lost = times.keys().filter(|number| !images.contains_key(number)).count() as u64;
-        let frames = frames(images, &times, &times_file, calibrations.len())?;
+            has_poses(path) || has_poses(&pictures_in(path)) || mounted(path)?.is_some();
+        let lost = times.keys().filter(|it| !images.frames.contains_key(it)).count() as u64;
+        let frames = frames(images, &times, calibrations.len())?;
         let path = path.to_owned();
         Ok(Self { path, calibrations, depth, picture, frames, lost, is_placed, has_clock, notes })
     }
@@ -153,17 +151,13 @@ impl CameraFolder {
 }
 
 impl SensorFiles {
-    /// The files of the depth sensor.
-    fn of_depth(
-        folder: &Path,
-        placing: Placing,
-        frames: usize,
-        images: &[PathBuf],
-    ) -> Result<Self, FramesError> {
-        let poses = poses(folder, placing, frames)?;
-        let stated = match intrinsics::stated(folder)? {
+    /// The files of the depth sensor, of which `image` is one image.
+    fn of_depth(wanted: &Wanted<'_>, image: &Path) -> Result<Self, FramesError> {
+        let folder = wanted.folder;
+        let poses = wanted.poses(folder)?;
+        let stated = match intrinsics::stated(folder, wanted.reading.depth_per_metre)? {
             // `cameras.toml` describes only fixed cameras.
-            None if poses.len() == 1 => mounted_intrinsics(folder, &images[0])?,
+            None if poses.len() == 1 => mounted_intrinsics(wanted, image)?,
             stated => stated,
         };
         let intrinsics = stated.ok_or_else(|| intrinsics::missing(folder))?;
@@ -171,18 +165,19 @@ impl SensorFiles {
     }
 
     /// The files of the picture sensor. For missing files, those of the depth sensor are used.
-    fn of_pictures(
-        folder: &Path,
-        placing: Placing,
-        frames: usize,
-        depth: Option<&Self>,
-    ) -> Result<Self, FramesError> {
-        let pictures = &folder.join(PICTURES);
-        let own = intrinsics::stated(pictures)?;
+    fn of_pictures(wanted: &Wanted<'_>, depth: Option<&Self>) -> Result<Self, FramesError> {
+        let Wanted { folder, reading, .. } = *wanted;
+        let pictures = &pictures_in(folder);
+        // Pictures have no depths, whose scale would be needed.
+        let scale = reading.depth_per_metre.or(Some(1000.0));
+        let own = intrinsics::stated(pictures, scale)?;
         let of_depth = depth.map(|depth| depth.intrinsics.clone());
         let intrinsics = match own.or(of_depth) {
             Some(intrinsics) => intrinsics,
-            None => intrinsics::stated(folder)?.ok_or_else(|| intrinsics::missing(pictures))?,
+            None => {
+                let stated = intrinsics::stated(folder, scale)?;
+                stated.ok_or_else(|| intrinsics::missing(pictures))?
+            }
         };
         let poses = match depth {
             Some(depth) if has_poses(pictures) => {
@@ -193,8 +188,8 @@ impl SensorFiles {
                 own
             }
             Some(depth) => depth.poses.clone(),
-            None if has_poses(pictures) => poses(pictures, placing, frames)?,
-            None => poses(folder, placing, frames)?,
+            None if has_poses(pictures) => wanted.poses(pictures)?,
+            None => wanted.poses(folder)?,
         };
         Ok(Self { intrinsics, poses })
     }
@@ -238,56 +233,9 @@ impl SensorFiles {
         let fy = fy.abs();
         let pinhole = camera::Intrinsics { width, height, fx, fy, cx, cy, distortion };
         let pose = &self.poses[frame.min(self.poses.len() - 1)];
-        let turn = Rotation3::from_matrix_unchecked(pose.rotation);
-        let place = Isometry3::from_parts(
-            Translation3::from(pose.position),
-            UnitQuaternion::from_rotation_matrix(&turn),
-        );
+        let place = Isometry3::from_parts(Translation3::from(pose.position), pose.turn());
         Lens::new(pinhole, place)
     }
-}
-
-/// The depth images and pictures in a camera's folder. With a file of times, there may be no
-/// images: then all frames were lost.
-fn image_files(
-    folder: &Path,
-    has_times: bool,
-) -> Result<(Vec<PathBuf>, Vec<PathBuf>), FramesError> {
-    let or_lost = |images| match images {
-        Err(LogError::Empty { .. }) if has_times => Ok(Vec::new()),
-        images => images,
-    };
-    let pictures = folder.join(PICTURES);
-    let pictures = if pictures.is_dir() { or_lost(picture_files(&pictures))? } else { Vec::new() };
-    let depths = match depth_images(folder) {
-        // The camera has no depth sensor.
-        Err(LogError::Empty { path, .. }) if path == folder && !pictures.is_empty() => Vec::new(),
-        images => or_lost(images)?,
-    };
-    Ok((depths, pictures))
-}
-
-fn picture_files(folder: &Path) -> Result<Vec<PathBuf>, LogError> {
-    let files = files_in(folder, &PICTURE_KINDS)?;
-    if files.is_empty() {
-        let record = "picture (.png, .jpg, .bmp, .ppm or .pgm)";
-        return Err(LogError::Empty { path: folder.to_owned(), record });
-    }
-    Ok(files)
-}
-
-fn pair(depths: &[PathBuf], pictures: Vec<PathBuf>) -> Result<Images, FramesError> {
-    let mut images = Images::new();
-    let depths = depths.iter().cloned().map(|path| (path, false));
-    for (path, is_picture) in depths.chain(pictures.into_iter().map(|path| (path, true))) {
-        let number = number_in(&path);
-        let (depth, picture) = images.entry(number).or_default();
-        let place = if is_picture { picture } else { depth };
-        if let Some(other) = place.replace(path.clone()) {
-            return Err(FramesError::SameNumber { path, other, number });
-        }
-    }
-    Ok(images)
 }
 
 /// Checks that all images have the size stated in their sensor's intrinsics.
@@ -296,11 +244,11 @@ fn check_sizes(
     depth: Option<&SensorFiles>,
     picture: Option<&SensorFiles>,
 ) -> Result<(), FramesError> {
-    for (depth_file, picture_file) in images.values() {
-        if let (Some(sensor), Some(file)) = (depth, depth_file) {
+    for frame in images.frames.values() {
+        if let (Some(sensor), Some(file)) = (depth, &frame.depth) {
             sensor.check(file, Some(ColorType::L16))?;
         }
-        if let (Some(sensor), Some(file)) = (picture, picture_file) {
+        if let (Some(sensor), Some(file)) = (picture, &frame.picture) {
             sensor.check(file, None)?;
         }
     }
@@ -311,48 +259,110 @@ fn check_sizes(
 fn frames(
     images: Images,
     times: &FrameTimes,
-    times_file: &Path,
     calibrations: usize,
 ) -> Result<Vec<FrameFiles>, FramesError> {
-    let frame = |(index, (number, (depth, picture))): (usize, (u128, _))| {
+    let Images { frames, list, .. } = images;
+    let frame = |(index, (number, images)): (usize, (u128, FrameImages))| {
         let calibration = index.min(calibrations - 1);
         match times.get(&number) {
-            Some(&time) => Ok(FrameFiles { time, calibration, depth, picture }),
+            Some(&time) => Ok(FrameFiles { time, calibration, images }),
             None => {
-                let path = Option::or(depth, picture).unwrap_or_default();
-                Err(FramesError::NoTime { path, times: times_file.to_owned(), number })
+                let path = images.depth.or(images.picture).unwrap_or_default();
+                Err(FramesError::NoTime { path, times: list.clone(), number })
             }
         }
     };
-    images.into_iter().enumerate().map(frame).collect()
+    frames.into_iter().enumerate().map(frame).collect()
 }
 
 /// The intrinsics that a `cameras.toml` states for this folder, scaled to the size of `image`.
 /// `None` if it states none.
-fn mounted_intrinsics(folder: &Path, image: &Path) -> Result<Option<IntrinsicsFile>, FramesError> {
-    let Some(camera) = mounted(folder)? else { return Ok(None) };
+fn mounted_intrinsics(
+    wanted: &Wanted<'_>,
+    image: &Path,
+) -> Result<Option<IntrinsicsFile>, FramesError> {
+    let Some(camera) = mounted(wanted.folder)? else { return Ok(None) };
     let ((width, height), _) = raster::look(image)
         .map_err(|error| FramesError::Damaged { path: image.to_owned(), error })?;
-    Ok(camera.intrinsics(width, height).map(|pinhole| IntrinsicsFile::of(&pinhole, None)))
+    let scale = wanted.reading.depth_per_metre;
+    let of = |pinhole| {
+        let file = IntrinsicsFile::of(&pinhole, None);
+        IntrinsicsFile { depth_per_metre: scale.unwrap_or(file.depth_per_metre), ..file }
+    };
+    Ok(camera.intrinsics(width, height).map(of))
 }
 
-/// The poses in a folder: one, or one for each frame.
-fn poses(folder: &Path, placing: Placing, frames: usize) -> Result<Vec<CameraPose>, FramesError> {
-    if !has_poses(folder) {
-        if let Some(pose) = mounted(folder)?.and_then(|camera| camera.pose()) {
-            let rotation = *pose.rotation.to_rotation_matrix().matrix();
-            return Ok(vec![CameraPose::mounted(pose.translation.vector, rotation)]);
-        }
-        // Without the depth sensor's pose, that of the pictures says nothing.
-        if placing == Placing::Optional && !has_poses(&folder.join(PICTURES)) {
-            return Ok(vec![CameraPose::mounted(NOWHERE.into(), Matrix3::identity())]);
-        }
-    }
+/// The poses of a trajectory at the times of the frames, if both have times and are not simply numbered
+/// alike: one for each frame, or one if the camera stands still. Images without a pose are removed, with
+/// a note.
+fn timed_poses(
+    folder: &Path,
+    images: &mut Images,
+    stated: Option<&FrameTimes>,
+    notes: &mut Vec<String>,
+) -> Result<Option<Vec<CameraPose>>, FramesError> {
+    let Some(times) = stated.or(images.times.as_ref()).filter(|_| has_poses(folder)) else {
+        return Ok(None);
+    };
+    let times: Option<Vec<f64>> =
+        images.frames.keys().map(|number| Some(times.get(number)?.captured_s)).collect();
     let (path, poses) = read_poses(folder)?;
-    if poses.len() != 1 && poses.len() != frames {
-        return Err(FramesError::Poses { path, frames, poses: poses.len() });
+    let is_numbered = stated.is_some() && poses.len() == images.frames.len();
+    let has_stamps = poses.iter().all(|pose| pose.stamp_s.is_some());
+    let Some(times) = times.filter(|_| poses.len() > 1 && has_stamps && !is_numbered) else {
+        return Ok(None);
+    };
+    let found = at_times(&path, &poses, &times)?;
+    let frames = found.len();
+    let mut has_pose = found.iter().map(Option::is_some);
+    images.frames.retain(|_, _| has_pose.next().unwrap_or(false));
+    if let Some(times) = &mut images.times {
+        times.retain(|number, _| images.frames.contains_key(number));
     }
-    Ok(poses)
+    let mut poses: Vec<CameraPose> = found.into_iter().flatten().collect();
+    if poses.len() < frames {
+        notes.push(format!(
+            "{} of {frames} frames have no pose and are left out",
+            frames - poses.len()
+        ));
+    }
+    if is_still(&poses) {
+        poses.truncate(1);
+    }
+    Ok(Some(poses))
+}
+
+/// The frames whose poses are wanted.
+struct Wanted<'a> {
+    folder: &'a Path,
+    reading: Reading,
+    frames: usize,
+    /// The poses in the folder, if they were found by time.
+    timed: Option<Vec<CameraPose>>,
+}
+
+impl Wanted<'_> {
+    /// The poses in a folder, the camera's or that of its pictures: one, or one for each frame.
+    fn poses(&self, folder: &Path) -> Result<Vec<CameraPose>, FramesError> {
+        if let Some(timed) = self.timed.as_ref().filter(|_| folder == self.folder) {
+            return Ok(timed.clone());
+        }
+        if !has_poses(folder) {
+            if let Some(pose) = mounted(folder)?.and_then(|camera| camera.pose()) {
+                let rotation = *pose.rotation.to_rotation_matrix().matrix();
+                return Ok(vec![CameraPose::computed(pose.translation.vector, rotation)]);
+            }
+            // Without the depth sensor's pose, that of the pictures says nothing.
+            if self.reading.may_lack_poses && !has_poses(&pictures_in(folder)) {
+                return Ok(vec![CameraPose::computed(NOWHERE.into(), Matrix3::identity())]);
+            }
+        }
+        let (path, poses) = read_poses(folder)?;
+        if poses.len() != 1 && poses.len() != self.frames {
+            return Err(FramesError::Poses { path, frames: self.frames, poses: poses.len() });
+        }
+        Ok(poses)
+    }
 }
 
 fn calibrations(
@@ -364,12 +374,8 @@ fn calibrations(
     let is_fixed = [depth, picture].into_iter().flatten().all(|sensor| sensor.poses.len() == 1);
     let calibration = |frame| {
         let lens = |sensor: Option<&SensorFiles>| sensor.map(|it| it.lens(frame)).transpose();
-        let depth_noise = match depth.and_then(|it| it.intrinsics.depth_noise) {
-            Some(DepthNoiseFile { constant_m, quadratic_per_m }) => {
-                DepthNoise::new(constant_m, quadratic_per_m)?
-            }
-            None => DepthNoise::default(),
-        };
+        let depth_noise =
+            depth.map_or(Ok(DepthNoise::default()), |depth| depth.intrinsics.noise())?;
         Ok(Calibration { depth: lens(depth)?, depth_noise, picture: lens(picture)? })
     };
     let calibrations = (0..if is_fixed { 1 } else { frames }).map(calibration);

@@ -14,9 +14,10 @@ use nalgebra::Isometry3;
 use ubimap_protocol::time::Instant;
 
 use super::{
-    camera_folder::{self, CameraFolder, FrameFiles, Placing, SensorFiles},
+    camera_folder::{self, CameraFolder, Reading, SensorFiles},
     error::FramesError,
     frame_times::{MAX_SPAN_S, TIMES_FILE},
+    images::FrameImages,
 };
 use crate::{
     camera::{Calibration, CalibrationError, DepthImage, Frame, FrameSource, Picture},
@@ -65,23 +66,18 @@ impl RecordedFrames {
     /// # Errors
     /// Every [`FramesError`].
     pub fn open(paths: &[PathBuf]) -> Result<Self, FramesError> {
-        Self::open_placed(paths, Placing::Stated)
+        Self::open_with(paths, Reading::default())
     }
 
-    /// Opens camera folders like [`open`](Self::open), also of cameras whose poses are not stated: they
-    /// are all at one pose.
+    /// Opens camera folders like [`open`](Self::open), read as `reading` says.
     ///
     /// # Errors
     /// Every [`FramesError`].
-    pub fn open_unplaced(paths: &[PathBuf]) -> Result<Self, FramesError> {
-        Self::open_placed(paths, Placing::Optional)
-    }
-
-    fn open_placed(paths: &[PathBuf], placing: Placing) -> Result<Self, FramesError> {
+    pub fn open_with(paths: &[PathBuf], reading: Reading) -> Result<Self, FramesError> {
         let mut folders = Vec::new();
         for path in paths {
             for path in camera_folder::find(path)? {
-                folders.push(Arc::new(CameraFolder::open(&path, placing)?));
+                folders.push(Arc::new(CameraFolder::open(&path, reading)?));
             }
         }
         one_clock(&folders)?;
@@ -225,7 +221,7 @@ impl FrameSource for RecordedFrames {
 impl Due {
     fn read(&self) -> Result<Frame, FramesError> {
         let CameraFolder { depth, picture, frames, .. } = &*self.folder;
-        let FrameFiles { depth: depth_file, picture: picture_file, .. } = &frames[self.index];
+        let FrameImages { depth: depth_file, picture: picture_file } = &frames[self.index].images;
         let depth = depth_file.as_deref().zip(depth.as_ref());
         let depth = depth.map(|(path, sensor)| depth_image(path, sensor)).transpose()?;
         let picture = picture_file.as_deref().zip(picture.as_ref());

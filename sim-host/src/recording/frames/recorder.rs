@@ -12,7 +12,7 @@ use image::{
 };
 use ubimap_protocol::time::Instant;
 
-use super::{camera_folder::PICTURES, frame_times::TIMES_FILE};
+use super::{frame_times::TIMES_FILE, images::PICTURES};
 use crate::{
     camera::{Calibration, DepthNoise, Frame, Lens, Picture},
     recording::{

@@ -10,6 +10,8 @@ use crate::{
     testing::{Folder, shared_frames},
 };
 
+mod foreign;
+
 const INTRINSICS: &[u8] = b"width = 2\nheight = 1\nfx = 2\nfy = 2\ncx = 0.5\ncy = 0\n";
 
 fn open(folder: &Path) -> Result<RecordedFrames, FramesError> {
@@ -57,7 +59,7 @@ fn a_camera_without_a_pose_is_looked_for_among_those_that_were_placed() {
     let folder = Folder::new("placed-cameras");
     folder.file("camera-01/depth/1.pgm", b"P2 4 2 65535 1000 0 0 0 0 0 0 0");
     let error = open(folder.path()).unwrap_err().to_string();
-    assert!(error.contains("no pose.txt or trajectory.log in it"), "{error}");
+    assert!(error.contains("no pose.txt, trajectory.log or groundtruth.txt in it"), "{error}");
     let of = |name: &str| {
         format!(
             "[[cameras]]\nname = \"{name}\"\nposition_m = [1.0, 2.0, 3.0]\nheading_deg = 90.0\n\
@@ -263,7 +265,7 @@ fn faults_in_poses_say_what_to_write() {
         std::fs::remove_dir_all(folder.path().join("color")).unwrap();
     }
     std::fs::remove_file(folder.path().join("pose.txt")).unwrap();
-    expect(&folder, &["no pose.txt or trajectory.log in it"]);
+    expect(&folder, &["no pose.txt, trajectory.log or groundtruth.txt in it"]);
 }
 
 #[test]

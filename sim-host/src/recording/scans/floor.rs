@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use nalgebra::Vector3;
 
 use crate::recording::{
-    camera_poses::CameraPose, depth_image::depths_mm, error::LogError, intrinsics::IntrinsicsFile,
+    camera_pose::CameraPose, depth_image::depths_mm, error::LogError, intrinsics::IntrinsicsFile,
 };
 
 /// Maximum number of frames that are evaluated.

@@ -2,14 +2,14 @@
 //!
 //! ```text
 //! depth/*.png, *.pgm    16-bit grey; the images may also lie in the folder itself
-//! pose.txt              one line for each image: [time] x y z qx qy qz qw
-//! trajectory.log        or five lines: three numbers, then the four rows of a matrix
+//! pose.txt              one pose for each image, in any form of [`frames`](crate::recording::frames)
 //! intrinsics.toml       width, height, fx, fy, cx, cy, distortion (k1, k2, p1, p2, k3; default none),
 //!                       depth_per_metre (1000), row (cy); depth_noise is ignored
-//! *.json                or Open3D's camera file, with depths in millimetres
+//! *.yaml, *.json        or the camera's file of another program, see there
 //! ```
 //!
-//! Images are ordered by the numbers in their names, and there must be one pose for each. Poses
+//! Images are ordered by the numbers in their names, and there must be one pose for each; or both have
+//! times, and images without a pose are left out. Poses
 //! transform from camera to world, with the camera's x to the right and z forward; y points down,
 //! or up if `fy` is negative. The up axis of the world is z unless [`Slicing::up`] says otherwise;
 //! a warning is issued if the floor in the images contradicts it. A scan's pose in `map` is the
@@ -26,9 +26,11 @@ use super::{
     slicing::{DepthSlice, Slicing, Stance, UpAxis},
 };
 use crate::recording::{
-    camera_poses::{CameraPose, read_poses},
+    camera_pose::CameraPose,
+    camera_poses::{at_times, read_poses},
     error::{LineFault, LogError},
     format::Format,
+    image_times::image_times,
     intrinsics::{self, IntrinsicsFile},
     numbered_files::depth_images,
     time_stamps,
@@ -46,14 +48,25 @@ const FLOOR_DEG: f64 = 5.0;
 
 /// Reads a folder of depth images.
 pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
-    let images = depth_images(folder)?;
-    let (pose_file, poses) = read_poses(folder)?;
+    let mut images = depth_images(folder)?;
+    let (pose_file, mut poses) = read_poses(folder)?;
+    let mut notes = Vec::new();
+    let has_stamps = poses.iter().all(|pose| pose.stamp_s.is_some());
+    if let Some(times) = image_times(&images)?.filter(|_| has_stamps) {
+        let found = at_times(&pose_file, &poses, &times)?;
+        let mut has_pose = found.iter().map(Option::is_some);
+        images.retain(|_| has_pose.next().unwrap_or(false));
+        poses = found.into_iter().flatten().collect();
+        if poses.len() < times.len() {
+            let lost = times.len() - poses.len();
+            notes.push(format!("{lost} of {} images have no pose and are left out", times.len()));
+        }
+    }
     if images.len() != poses.len() {
         let (images, poses) = (images.len(), poses.len());
         return Err(LogError::Poses { path: pose_file, images, poses });
     }
-    let intrinsics = intrinsics::required(folder)?;
-    let mut notes = Vec::new();
+    let intrinsics = intrinsics::required(folder, slicing.depth_per_metre)?;
     if intrinsics.distortion != [0.0; 5] {
         notes.push("the distortion of the lens is ignored".to_owned());
     }
@@ -245,7 +258,7 @@ mod tests {
             (&b"1 2 3 0 0 0 1\n"[..], "2 depth images but 1 pose"),
             (b"1 2 3 0 0 0 1\n1 2 3 0 0 nan 1\n", "pose.txt:2: pose: \"nan\""),
             (b"1 2 3 0 0 0 1\n1 2 3 0 0 0 0\n", "pose.txt:2: not a rotation"),
-            (b"1 2 3 0 0 0 1\n1 2 3 0 0 0\n", "pose.txt:2: 6 fields"),
+            (b"1 2 3 0 0 0 1\n1 2 3 0 0 0\n", "pose.txt:2: 6 numbers; a pose is 7"),
             (b"1 2 3 0 0 0 1\n1 2 3 1 0 0 0\n", "up"),
             (b"\xff\xfe", "pose.txt:1: not text"),
         ] {

@@ -16,7 +16,7 @@ const BAND: u16 = 5;
 const TOLERANCE: Millimetres = Millimetres(20);
 
 /// How depth images are converted to scans.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Slicing {
     /// The part of an image that is mapped.
     pub slice: DepthSlice,
@@ -24,6 +24,8 @@ pub struct Slicing {
     pub pixels: PixelModel,
     /// The up axis of the world in which the cameras' poses are given.
     pub up: UpAxis,
+    /// Units of the depth images per metre, instead of what the intrinsics state.
+    pub depth_per_metre: Option<f64>,
 }
 
 /// The up axis of the world of a recording.

@@ -18,7 +18,7 @@ use crate::{
     },
     camera::{CamerasFile, FrameSource, MountedCamera},
     files,
-    recording::RecordedFrames,
+    recording::{Reading, RecordedFrames},
     report::{CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult, UnseenCamera},
 };
 pub use fault::CalibrateFault;
@@ -41,7 +41,7 @@ pub struct CalibrateOutcome {
 pub fn run(options: &CalibrateOptions) -> Result<CalibrateOutcome, RunError> {
     let path = &options.observations;
     let Seen { observations, stated, unseen } =
-        if path.is_dir() { recorded(path, options.robots.as_deref())? } else { listed(path)? };
+        if path.is_dir() { recorded(path, options)? } else { listed(path)? };
     let reference = match &options.reference {
         None => 0,
         Some(name) => observations.camera(name).ok_or_else(|| {
@@ -89,10 +89,11 @@ fn listed(path: &Path) -> Result<Seen, RunError> {
 }
 
 /// The landmarks in the frames of a recording.
-fn recorded(path: &Path, robots: Option<&Path>) -> Result<Seen, RunError> {
+fn recorded(path: &Path, options: &CalibrateOptions) -> Result<Seen, RunError> {
     let folders = [path.to_owned()];
-    let mut frames = RecordedFrames::open_unplaced(&folders)?;
-    let registry = robots_file::find(robots, &folders)?;
+    let reading = Reading { may_lack_poses: true, depth_per_metre: options.unit.per_metre };
+    let mut frames = RecordedFrames::open_with(&folders, reading)?;
+    let registry = robots_file::find(options.robots.as_deref(), &folders)?;
     if registry.robots.is_empty() {
         let reason = "no robot, whose marker could be a landmark; name a robots.toml with --robots";
         return Err(CalibrateFault::in_file(path, &reason).into());

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::super::options::{OptionError, number};
+use super::super::options::{DepthUnit, OptionError, number};
 
 /// A file of observations, as the help shows it.
 const EXAMPLE: &str = "\
@@ -29,6 +29,10 @@ pub struct CalibrateOptions {
     /// The robots of a recording and their markers, instead of its robots.toml
     #[arg(long, value_name = "TOML")]
     pub robots: Option<PathBuf>,
+
+    /// The unit of the depth images.
+    #[command(flatten)]
+    pub unit: DepthUnit,
 
     /// The camera whose pose is given by --cameras or by the recording, or else defines the origin [default: the first
     /// one]

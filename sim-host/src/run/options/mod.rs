@@ -19,8 +19,8 @@ pub use keys::{KeysAction, KeysOptions};
 pub use knock::Knock;
 pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
 pub use simulate::{MotionName, SimulateOptions};
-pub(super) use values::{OptionError, milliseconds, number};
-use values::{heights, pose, probability, resolution, seconds, tolerance};
+pub(super) use values::{OptionError, heights, milliseconds, number, resolution, seconds};
+use values::{depth_scale, pose, probability, tolerance};
 
 use crate::channel::{address::Address, fault::Faults};
 
@@ -28,8 +28,9 @@ use crate::channel::{address::Address, fault::Faults};
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Recording")]
 pub struct WatchOptions {
-    /// Folders of cameras, or of such folders: pose.txt, intrinsics.toml, depth/*.png, color/*.png
-    /// (with a pose.txt and intrinsics.toml of its own, if it has them), and times.txt
+    /// Folders of cameras, or of such folders: pose.txt (x y z qx qy qz qw, or a matrix from camera to
+    /// world) or a trajectory (TUM, Redwood), intrinsics.toml or a camera's .yaml or .json (OpenCV, ROS,
+    /// Open3D), depth/*.png, color/*.png or rgb/*.png (with files of its own, if it has them), and times.txt
     #[arg(required = true, value_name = "FOLDER")]
     pub folders: Vec<PathBuf>,
 
@@ -43,7 +44,7 @@ pub struct WatchOptions {
     pub cameras: Option<PathBuf>,
 
     /// When to correct the height and the tilt of a camera by the floor that it sees: if the floor is off by
-    /// more than 1 cm or 0.5 degrees and fills a tenth of the view, whenever it is found, or never
+    /// more than 1 cm or 0.5 degrees in five images and fills a tenth of the view, whenever it is found, or never
     #[arg(long, value_name = "WHEN", value_enum, default_value_t)]
     pub trust_floor: TrustFloor,
 
@@ -52,6 +53,10 @@ pub struct WatchOptions {
     #[arg(long, value_name = "LOW,HIGH", value_parser = heights, allow_negative_numbers = true)]
     pub obstacles: Option<[Millimetres; 2]>,
 
+    /// The unit of the depth images.
+    #[command(flatten)]
+    pub unit: DepthUnit,
+
     /// Side of a cell in metres
     #[arg(long, value_name = "M", default_value = "0.05", value_parser = resolution, allow_negative_numbers = true)]
     pub resolution: Millimetres,
@@ -59,6 +64,15 @@ pub struct WatchOptions {
     /// Options for the results.
     #[command(flatten)]
     pub results: ResultOptions,
+}
+
+/// The unit of depth images.
+#[derive(Args, Clone, Copy, Debug, Default)]
+pub struct DepthUnit {
+    /// Units of the depth images in a metre (1000: millimetres, 5000: TUM), or metres in a unit (0.001)
+    /// [default: what the camera's file states, or else 1000]
+    #[arg(long = "depth-scale", value_name = "UNITS", value_parser = depth_scale, allow_negative_numbers = true)]
+    pub per_metre: Option<f64>,
 }
 
 /// When a camera's pose is corrected by its floor.
@@ -76,8 +90,9 @@ pub enum TrustFloor {
 /// Options of `ubimap serve`.
 #[derive(Args, Clone, Debug)]
 pub struct ServeOptions {
-    /// Serial ports, with one robot behind each, and sockets for any number of robots: udp:4000 or
-    /// tcp:4000 on this machine, udp:0.0.0.0:4000 from everywhere
+    /// The file of a deployment (see `ubimap init`); or, on a bench, serial ports with one robot behind
+    /// each, and sockets for any number of robots: udp:4000 or tcp:4000 on this machine,
+    /// udp:0.0.0.0:4000 from everywhere
     #[arg(required = true, value_name = "PORT")]
     pub ports: Vec<Address>,
 
@@ -92,6 +107,10 @@ pub struct ServeOptions {
     /// Open the sockets to everyone who reaches them, on a bench: their frames are not sealed
     #[arg(long, conflicts_with_all = ["keys", "sealed"])]
     pub open: bool,
+
+    /// Send the robots of a deployment to ground that no camera sees
+    #[arg(long)]
+    pub explore: bool,
 
     /// Speed of the ports in bits per second
     #[arg(long, value_name = "N", default_value_t = 115_200, value_parser = value_parser!(u32).range(1_200..=12_000_000))]

@@ -7,7 +7,7 @@ use ubimap_agent::map::Policy;
 use ubimap_protocol::units::Millimetres;
 
 use super::{
-    RunOptions,
+    DepthUnit, RunOptions,
     values::{max_range, resolution, robots},
 };
 use crate::recording::{DepthSlice, Format, PixelModel, Slicing, UpAxis};
@@ -62,6 +62,10 @@ pub struct SlicingOptions {
     #[arg(long, value_enum, default_value_t)]
     pub pixel_model: PixelModel,
 
+    /// The unit of the depth images.
+    #[command(flatten)]
+    pub unit: DepthUnit,
+
     /// Which axis of the cameras' poses points up
     #[arg(long, value_enum, value_name = "AXIS", default_value_t, allow_hyphen_values = true)]
     pub up: UpAxis,
@@ -70,7 +74,8 @@ pub struct SlicingOptions {
 impl SlicingOptions {
     /// Converts to the options of the log reader.
     pub fn slicing(&self) -> Slicing {
-        Slicing { slice: self.slice, pixels: self.pixel_model, up: self.up }
+        let depth_per_metre = self.unit.per_metre;
+        Slicing { slice: self.slice, pixels: self.pixel_model, up: self.up, depth_per_metre }
     }
 }
 

@@ -6,6 +6,8 @@ use ubimap_protocol::{
     units::{Millimetres, Pose},
 };
 
+use crate::recording::units_per_metre;
+
 /// Why the value of an option is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub(in crate::run) enum OptionError {
@@ -44,7 +46,7 @@ pub(super) fn probability(text: &str) -> Result<f64, OptionError> {
     number(text, 0.0, 1.0, "(a probability)")
 }
 
-pub(super) fn resolution(text: &str) -> Result<Millimetres, OptionError> {
+pub(in crate::run) fn resolution(text: &str) -> Result<Millimetres, OptionError> {
     let metres = number(text, 0.02, 1.0, "m")?;
     if ((metres * 1000.0).round() - metres * 1000.0).abs() > 1e-6 {
         return Err(OptionError::FractionOfMillimetre);
@@ -53,7 +55,7 @@ pub(super) fn resolution(text: &str) -> Result<Millimetres, OptionError> {
 }
 
 /// Two heights, the lower one first, in whole millimetres.
-pub(super) fn heights(text: &str) -> Result<[Millimetres; 2], OptionError> {
+pub(in crate::run) fn heights(text: &str) -> Result<[Millimetres; 2], OptionError> {
     let (low, high) = text.split_once(',').ok_or(OptionError::NotHeights)?;
     let height = |text: &str| {
         number(text.trim(), 0.005, 10.0, "m")
@@ -65,6 +67,11 @@ pub(super) fn heights(text: &str) -> Result<[Millimetres; 2], OptionError> {
 
 pub(super) fn max_range(text: &str) -> Result<Millimetres, OptionError> {
     number(text, 0.1, 65.0, "m").map(Millimetres::from_metres)
+}
+
+/// Units per metre, from that or from the length of a unit in metres.
+pub(super) fn depth_scale(text: &str) -> Result<f64, OptionError> {
+    number(text, 1e-6, 1e6, "units in a metre, or metres in a unit").map(units_per_metre)
 }
 
 pub(super) fn tolerance(text: &str) -> Result<f64, OptionError> {
@@ -79,7 +86,7 @@ pub(super) fn pose(text: &str) -> Result<Pose, OptionError> {
     Ok(Pose::from_metres(metres(x)?, metres(y)?, degrees.to_radians()))
 }
 
-pub(super) fn seconds(text: &str) -> Result<Duration, OptionError> {
+pub(in crate::run) fn seconds(text: &str) -> Result<Duration, OptionError> {
     let seconds = number(text, 0.1, 1e6, "s")?;
     Ok(Duration::from_micros((seconds * 1e6).round() as u64))
 }
@@ -109,6 +116,9 @@ mod tests {
         assert_eq!(heights("0.4,0.03"), Err(OptionError::NotHeights));
         assert_eq!(heights("0.4"), Err(OptionError::NotHeights));
         assert!(heights("0,0.4").is_err() && heights("0.1,x").is_err());
+        assert_eq!(depth_scale("5000"), Ok(5000.0));
+        assert!((depth_scale("0.001").unwrap() - 1000.0).abs() < 1e-9);
+        assert!(depth_scale("0").is_err() && depth_scale("-1").is_err());
         assert_eq!(milliseconds("0.25"), Ok(Duration::from_micros(250)));
         assert_eq!(pose("-1.5, 2,90"), Ok(Pose::from_metres(-1.5, 2.0, FRAC_PI_2)));
         assert_eq!(pose("1,2"), Err(OptionError::NotAPose));

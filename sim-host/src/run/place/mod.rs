@@ -29,6 +29,7 @@ use crate::{
 pub use fault::PlaceFault;
 use options::{ModelName, PlaceOptions};
 use progress::PlacingProgress;
+use room::PlacedModel;
 
 /// The share of the time limit for a solver of integer programmes.
 const MILP_SHARE: f64 = 0.75;
@@ -68,8 +69,8 @@ impl PlaceOutcome {
 pub fn run(options: &PlaceOptions) -> Result<PlaceOutcome, RunError> {
     let started = Instant::now();
     let (plan, height_m) = room::read_room(options)?;
-    let (model, keys) = room::read_camera(options.camera.as_deref())?;
-    let request = request(options, &plan, model, height_m)?;
+    let camera = room::read_camera(options)?;
+    let request = request(options, &plan, &camera, height_m)?;
     let progress = PlacingProgress::new(request.aim);
     let mut solved_s = 0.0;
     let placement = place(&plan, &request, &mut |stage| {
@@ -93,7 +94,7 @@ pub fn run(options: &PlaceOptions) -> Result<PlaceOutcome, RunError> {
     report.elapsed_s = started.elapsed().as_secs_f64();
     let caption = Caption { subject: options.room.display().to_string(), ..Caption::default() };
     Ok(PlaceOutcome {
-        cameras: cameras_file(&report, &request.model, &keys),
+        cameras: cameras_file(&report, &request.model, &camera.keys),
         picture: picture(&plan, &placement, &report.cameras, &caption)?,
         report,
     })
@@ -102,7 +103,7 @@ pub fn run(options: &PlaceOptions) -> Result<PlaceOutcome, RunError> {
 fn request(
     options: &PlaceOptions,
     plan: &FloorPlan,
-    model: CameraModel,
+    camera: &PlacedModel,
     height_m: f64,
 ) -> Result<Request, RunError> {
     let is_paper = options.model == ModelName::Paper;
@@ -115,7 +116,8 @@ fn request(
     });
     Ok(Request {
         projection: options.model.into(),
-        model,
+        model: camera.view,
+        picture: camera.picture,
         choices: Choices {
             heights_m: or(&options.height, &[height_m]),
             tilts_deg: or(&options.tilt, if is_paper { &[90.0] } else { &[90.0, 60.0, 45.0] }),

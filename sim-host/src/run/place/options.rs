@@ -25,6 +25,12 @@ pub struct PlaceOptions {
     #[arg(long, value_name = "FILE")]
     pub camera: Option<PathBuf>,
 
+    /// Horizontal and vertical field of view of the cameras' pictures in degrees, in which calibration finds
+    /// landmarks: overlap counts as such where two pictures show it [default: that of picture in the camera's
+    /// file, 69,42 for a D435; or else the whole view]
+    #[arg(long, value_name = "H,V", value_parser = fields, allow_negative_numbers = true)]
+    pub picture_fov: Option<[f64; 2]>,
+
     /// Heights at which cameras may hang, in metres [default: 0.1 m below a scenario's ceiling, 3 m
     /// in a map]
     #[arg(long, value_name = "M,...", value_delimiter = ',', value_parser = height, allow_negative_numbers = true)]
@@ -78,7 +84,7 @@ pub struct PlaceOptions {
     #[arg(long, value_enum, default_value_t)]
     pub model: ModelName,
 
-    /// Add cameras (with --cameras: accept less coverage) until overlapping views connect all
+    /// Add cameras (with --cameras: accept less coverage) until overlapping pictures connect all
     /// cameras, as calibration requires. Without it cameras are only moved where that is free
     #[arg(long)]
     pub connect: bool,
@@ -184,6 +190,12 @@ impl SolverName {
 
 fn height(text: &str) -> Result<f64, OptionError> {
     number(text, 0.1, 100.0, "m")
+}
+
+fn fields(text: &str) -> Result<[f64; 2], OptionError> {
+    let (horizontal, vertical) = text.split_once(',').unwrap_or((text, ""));
+    let field = |text: &str| number(text.trim(), 1.0, 170.0, "degrees");
+    Ok([field(horizontal)?, field(vertical)?])
 }
 
 fn tilt(text: &str) -> Result<f64, OptionError> {

@@ -66,9 +66,20 @@ fn obstacle(part: FixedPart) -> Obstacle {
     Obstacle { outline, bottom_m, top_m }
 }
 
-/// Reads the camera model. Also returns its other keys of a scenario's camera.
-pub(super) fn read_camera(path: Option<&Path>) -> Result<(CameraModel, toml::Table), RunError> {
-    let (config, keys) = match path {
+/// The camera that is placed.
+pub(super) struct PlacedModel {
+    /// What it sees.
+    pub(super) view: CameraModel,
+    /// What its pictures show.
+    pub(super) picture: CameraModel,
+    /// Its other keys of a scenario's camera.
+    pub(super) keys: toml::Table,
+}
+
+/// Reads the camera.
+pub(super) fn read_camera(options: &PlaceOptions) -> Result<PlacedModel, RunError> {
+    let path = options.camera.as_deref();
+    let (config, mut keys) = match path {
         None => (
             config(toml::Table::new())
                 .map_err(|reason| PlaceFault::in_file(Path::new("camera"), &reason))?,
@@ -98,8 +109,21 @@ pub(super) fn read_camera(path: Option<&Path>) -> Result<(CameraModel, toml::Tab
             (config(keys.clone()).map_err(refuse)?, keys)
         }
     };
-    let CameraConfig { horizontal_fov_deg, vertical_fov_deg, range_m, .. } = config;
-    let model = CameraModel { horizontal_fov_deg, vertical_fov_deg, range_m };
+    let CameraConfig { horizontal_fov_deg, vertical_fov_deg, range_m, picture, .. } = config;
+    let view = CameraModel { horizontal_fov_deg, vertical_fov_deg, range_m };
+    // The picture of another camera than the default one is not guessed.
+    let stated = (path.is_none() || keys.contains_key("picture"))
+        .then_some([picture.horizontal_fov_deg, picture.vertical_fov_deg]);
+    let picture = options.picture_fov.or(stated).map_or(view, |[horizontal, vertical]| {
+        CameraModel { horizontal_fov_deg: horizontal, vertical_fov_deg: vertical, range_m }
+    });
+    if let Some([horizontal, vertical]) = options.picture_fov {
+        let stated = keys.entry("picture").or_insert_with(|| toml::Table::new().into());
+        if let Some(stated) = stated.as_table_mut() {
+            stated.insert("horizontal_fov_deg".to_owned(), horizontal.into());
+            stated.insert("vertical_fov_deg".to_owned(), vertical.into());
+        }
+    }
     let is_camera = (1.0..=170.0).contains(&horizontal_fov_deg)
         && (1.0..=170.0).contains(&vertical_fov_deg)
         && (0.01..=1000.0).contains(&range_m);
@@ -111,7 +135,7 @@ pub(super) fn read_camera(path: Option<&Path>) -> Result<(CameraModel, toml::Tab
     let rest = keys.into_iter().filter(|(key, _)| {
         !["horizontal_fov_deg", "vertical_fov_deg", "range_m"].contains(&key.as_str())
     });
-    Ok((model, rest.collect()))
+    Ok(PlacedModel { view, picture, keys: rest.collect() })
 }
 
 /// A camera of a scenario with these keys.

@@ -1,12 +1,14 @@
 //! A link to a robot: its wire, which is opened again whenever it comes back, and what is known of the
 //! robot behind it.
 
+use log::Level;
 use ubimap_protocol::{
     message::{Event, State},
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
 
+use super::message::Message;
 use crate::{
     channel::{
         intake::{Intake, Listening, SourceId},
@@ -88,7 +90,7 @@ impl Attached {
     ///
     /// # Errors
     /// [`WireError::Io`] if no thread can be started.
-    pub(super) fn listen(&mut self, intake: &mut Intake) -> Result<(), WireError> {
+    pub(super) fn listen(&mut self, intake: &mut Intake<Message>) -> Result<(), WireError> {
         if let Some(reader) = self.reader.take() {
             self.listening = Some(intake.wire(reader)?);
         }
@@ -184,13 +186,13 @@ impl Attached {
     }
 
     /// Records the status of the port's robot, and logs it if it is new.
-    pub(super) fn note(&mut self, status: &PortStatus, now: Instant) {
+    pub(super) fn note(&mut self, status: &PortStatus, now: Instant, level: Level) {
         self.robot = status.robot.or(self.robot);
         if let (Some(robot), Some(state)) = (status.robot, status.state)
             && self.said.is_none_or(|(_, said)| said != state)
         {
             self.said = Some((now, state));
-            log::info!("{}: robot {} is {}", self.name, robot.0, described(now, &state));
+            log::log!(level, "{}: robot {} is {}", self.name, robot.0, described(now, &state));
         }
     }
 

@@ -2,16 +2,17 @@
 
 use std::{net::SocketAddr, time};
 
+use log::Level;
 use ubimap_protocol::{
     time::{Duration, Instant},
     units::Pose,
 };
 
-use super::attached::Attached;
+use super::{attached::Attached, message::Message};
 use crate::{
     channel::{
         address::Address,
-        intake::{Arrival, Intake, Listening, SourceId, What},
+        intake::{Arrival, Feed, Intake, Listening, SourceId, What},
         tcp::{self, TcpListener},
         udp::UdpSocket,
         wire::WireError,
@@ -69,15 +70,18 @@ struct Link {
 
 /// All links.
 pub(super) struct Links {
-    intake: Intake,
+    intake: Intake<Message>,
     doors: Vec<(Door, Listening)>,
     links: Vec<Link>,
+    /// How robots' reports are logged.
+    level: Level,
     /// What all ports require.
     policy: Policy,
 }
 
 impl Links {
-    /// Opens a port of the deployment for each link, and listens.
+    /// Opens a port of the deployment for each link, and listens. What robots report is logged at
+    /// `level`.
     ///
     /// # Errors
     /// [`WireError::Io`] if no thread can be started.
@@ -86,9 +90,10 @@ impl Links {
         doors: Vec<Door>,
         policy: Policy,
         deployment: &mut Deployment,
+        level: Level,
     ) -> Result<Self, WireError> {
         let intake = Intake::default();
-        let mut links = Self { intake, doors: Vec::new(), links: Vec::new(), policy };
+        let mut links = Self { intake, doors: Vec::new(), links: Vec::new(), level, policy };
         for attached in attached {
             links.add(attached, None, deployment, Instant(0))?;
         }
@@ -127,14 +132,24 @@ impl Links {
         self.links.iter().map(|link| (link.port, &link.attached))
     }
 
+    /// What other threads send messages with.
+    pub(super) fn feed(&self) -> Feed<Message> {
+        self.intake.feed()
+    }
+
     /// The oldest arrival; waits up to `wait` for one.
-    pub(super) fn next_within(&self, wait: time::Duration) -> Option<Arrival> {
+    pub(super) fn next_within(&self, wait: time::Duration) -> Option<Arrival<Message>> {
         self.intake.next_within(wait)
     }
 
-    /// Passes an arrival on to the deployment. `at` is its time since the start.
-    pub(super) fn take(&mut self, arrival: Arrival, deployment: &mut Deployment, at: Instant) {
-        let Arrival { source, what, .. } = arrival;
+    /// Passes what has arrived at a port on to the deployment. `at` is its time since the start.
+    pub(super) fn take(
+        &mut self,
+        source: SourceId,
+        what: What,
+        deployment: &mut Deployment,
+        at: Instant,
+    ) {
         let index = match &what {
             What::Datagram(from, _) => self.peer(source, *from, deployment, at),
             What::Connection(..) => None,
@@ -149,7 +164,7 @@ impl Links {
                 let _ = deployment.receive(link.port, &bytes, at);
                 if let Ok(status) = deployment.port(link.port) {
                     let was = link.attached.robot();
-                    link.attached.note(&status, deployment.server_time(at));
+                    link.attached.note(&status, deployment.server_time(at), self.level);
                     if link.attached.robot() != was {
                         self.join(index.unwrap_or_default());
                     }

@@ -1,26 +1,50 @@
-//! `ubimap serve`: the camera server on serial ports and sockets, in real time.
+//! `ubimap serve`: the camera server in real time, on serial ports, sockets and cameras.
 //!
-//! Drives a deployment by the wall clock. Without real cameras it serves robots on a bench: each stands
-//! at a given pose, and gets fixes of it at a camera's rate.
+//! Drives a deployment by the wall clock. With the file of a deployment it is the system of the papers;
+//! with ports alone it serves robots on a bench: each stands at a given pose, and gets fixes of it at a
+//! camera's rate.
+//!
+//! The core (`station`) is one thread. Others wait at each port (`links`), for each camera's frames
+//! (`cameras`) and for commands, and one looks at the newest frames (`perceiving`); they put what they have
+//! into the core's queue (`message`).
 
 mod attached;
 mod bench_camera;
+mod cameras;
 mod links;
+mod message;
+mod perceiving;
+mod results;
 mod station;
 
-use std::path::Path;
+use std::{path::Path, sync::mpsc, time};
 
-use ubimap_protocol::tile::Epoch;
+use ubimap_protocol::{
+    frame::Key,
+    tile::Epoch,
+    units::{Pose, RobotId},
+};
 
-use super::{RunError, interruption, keeper, keys, options::ServeOptions};
+use super::{
+    RunError, control, deployment_file::DeploymentFile, interruption, keeper, keys,
+    options::ServeOptions,
+};
 use crate::{
     channel::{address::Address, serial::SerialPort},
+    deployment::{self, Life},
     report::ServeReport,
+    server::coordination::Settings,
 };
 pub use attached::{Attached, Opener};
 pub use bench_camera::CAPTURE_INTERVAL;
 pub use links::Door;
 pub use station::Station;
+
+use message::Message;
+use results::Writer;
+
+/// How long a command waits for the core.
+const PATIENCE: time::Duration = time::Duration::from_secs(5);
 
 /// Serves until the time is up or a signal interrupts. A port that hangs up is opened again when it
 /// comes back, and a map that can't be stored is stored once that works again.
@@ -28,30 +52,16 @@ pub use station::Station;
 /// # Errors
 /// [`RunError`] if a port or the store can't be opened.
 pub fn run(options: &ServeOptions) -> Result<ServeReport, RunError> {
-    // Before the ports, so that a key that can't be used opens none.
-    let folder = options.keys.as_deref().or(options.sealed.then_some(Path::new("keys")));
-    let keys = folder.map(keys::load).transpose()?;
-    if let (Some(folder), Some([])) = (folder, keys.as_deref()) {
-        log::warn!("{}: no robot has a key: ubimap keys make ROBOT", folder.display());
+    match &options.ports[..] {
+        [Address::Serial(path)] if path.extension().is_some_and(|it| it == "toml") => {
+            serve_file(path, options)
+        }
+        _ => serve_bench(options),
     }
-    let (ports, doors) = open(options, keys.is_some())?;
-    let resolution = options.resolution;
-    let epoch = Epoch(random()?.max(1));
-    let (keeper, mut life) = keeper::open(options.store.as_deref(), resolution, epoch)?;
-    life.first_session = Some(random()?);
-    life.salt = Some(u64::from(random()?) << 32 | u64::from(random()?));
-    let mut station = Station::new(resolution, life, (ports, doors), keys, keeper)?;
-    let end = options.duration.map(|duration| station.now() + duration);
-    while !interruption::is_requested() && end.is_none_or(|end| station.now() < end) {
-        station.turn();
-    }
-    let report = station.report();
-    station.finish();
-    Ok(report)
 }
 
-/// The ports that the server opens, and the sockets at which robots knock.
-fn open(options: &ServeOptions, is_keyed: bool) -> Result<(Vec<Attached>, Vec<Door>), RunError> {
+fn serve_bench(options: &ServeOptions) -> Result<ServeReport, RunError> {
+    let keys = keyring(options, None)?;
     let pose = |index: usize| match options.pose[..] {
         [] => None,
         [one] => Some(one),
@@ -61,9 +71,123 @@ fn open(options: &ServeOptions, is_keyed: bool) -> Result<(Vec<Attached>, Vec<Do
     if poses > 1 && poses != ports {
         return Err(RunError::Poses { poses, ports });
     }
+    let links = open(&options.ports, options, keys.is_some(), pose)?;
+    let resolution = options.resolution;
+    let (keeper, life) = begin(options.store.as_deref(), resolution)?;
+    let mut station = Station::new(resolution, life, links, keys, keeper)?;
+    turn(&mut station, options, None)?;
+    let report = station.report();
+    station.finish();
+    Ok(report)
+}
+
+/// The robots' keys, if the ports shall be sealed: from the folder of an option, or that of a deployment.
+fn keyring(
+    options: &ServeOptions,
+    stated: Option<&Path>,
+) -> Result<Option<Vec<(RobotId, Key)>>, RunError> {
+    let asked = options.keys.as_deref().or(options.sealed.then_some(Path::new("keys")));
+    let folder = asked.or(stated.filter(|_| !options.open));
+    let keys = folder.map(keys::load).transpose()?;
+    if let (Some(folder), Some([])) = (folder, keys.as_deref()) {
+        log::warn!("{}: no robot has a key: ubimap keys make ROBOT", folder.display());
+    }
+    Ok(keys)
+}
+
+/// Serves the deployment of a file.
+fn serve_file(path: &Path, options: &ServeOptions) -> Result<ServeReport, RunError> {
+    let refuse =
+        |reason: &str| RunError::Deployment { path: path.to_owned(), reason: reason.into() };
+    if !options.pose.is_empty() {
+        return Err(refuse("a deployment has cameras; --pose is for ports on a bench"));
+    }
+    let file = DeploymentFile::read(path)?;
+    if file.ports.is_empty() && file.cameras.is_empty() {
+        return Err(refuse("has neither ports nor cameras: nothing to serve"));
+    }
+    let mut writer = Writer::new(file.out.clone())?;
+    // Before the ports, so that a key that can't be used opens none.
+    let keys = keyring(options, file.keys.as_deref())?;
+    let links = open(&file.ports, options, keys.is_some(), |_| None)?;
+    let store = options.store.as_ref().or(file.store.as_ref());
+    let (keeper, life) = begin(store.map(|store| store.as_path()), file.resolution)?;
+    let config = deployment::Config {
+        registry: file.registry.clone(),
+        obstacle_heights: file.obstacles,
+        coordination: Some(Settings::default()),
+        ..deployment::Config::new(file.resolution)
+    };
+    for camera in file.cameras.iter().filter(|camera| !camera.is_placed) {
+        log::warn!("camera {} has no pose: it is shown and not used", camera.name);
+    }
+    let mut station = Station::live(config, life, (links, keys), keeper, file.cameras)?;
+    if options.explore {
+        station.explore(file.registry.robots.iter().map(|robot| RobotId(robot.id)));
+    }
+    listen(path, &station)?;
+    let served = turn(&mut station, options, Some(&mut writer));
+    let outcome = station.outcome();
+    station.finish();
+    // Whoever asks now finds no server.
+    let _ = std::fs::remove_file(control::socket(path));
+    served?;
+    let (outcome, _) = outcome?;
+    writer.finish(&outcome)?;
+    log::info!("results in {}", file.out.display());
+    Ok(outcome.report)
+}
+
+/// Turns until the time is up or a signal interrupts.
+fn turn(
+    station: &mut Station,
+    options: &ServeOptions,
+    mut writer: Option<&mut Writer>,
+) -> Result<(), RunError> {
+    let end = options.duration.map(|duration| station.now() + duration);
+    while !interruption::is_requested() && end.is_none_or(|end| station.now() < end) {
+        station.turn();
+        if let Some(writer) = &mut writer
+            && writer.is_due(station.now())
+        {
+            let (outcome, line) = station.outcome()?;
+            log::info!("{line}");
+            writer.write(outcome, station.now());
+        }
+    }
+    Ok(())
+}
+
+/// Answers commands from now on.
+#[cfg(unix)]
+fn listen(path: &Path, station: &Station) -> Result<(), RunError> {
+    let feed = station.feed();
+    Ok(control::listen(&control::socket(path), move |request| {
+        let (answer, answered) = mpsc::channel();
+        let gone = || "the server is ending".to_owned();
+        if !feed.send(Message::Request(request, answer)) {
+            return Err(gone());
+        }
+        answered.recv_timeout(PATIENCE).map_err(|_| gone())?
+    })?)
+}
+
+#[cfg(not(unix))]
+fn listen(_: &Path, _: &Station) -> Result<(), RunError> {
+    Ok(())
+}
+
+/// The ports that the server opens, and the sockets at which robots knock. `stands` gives the pose of the
+/// robots behind each.
+fn open(
+    ports: &[Address],
+    options: &ServeOptions,
+    is_keyed: bool,
+    stands: impl Fn(usize) -> Option<Pose>,
+) -> Result<(Vec<Attached>, Vec<Door>), RunError> {
     let (mut attached, mut doors) = (Vec::new(), Vec::new());
-    for (index, address) in options.ports.iter().enumerate() {
-        let stands = pose(index);
+    for (index, address) in ports.iter().enumerate() {
+        let stands = stands(index);
         if let Address::Serial(path) = address {
             let (path, baud, name) = (path.clone(), options.baud, address.to_string());
             let opener: Opener = Box::new(move || Ok(SerialPort::open(&path, baud)?.into_wire()));
@@ -81,6 +205,18 @@ fn open(options: &ServeOptions, is_keyed: bool) -> Result<(Vec<Attached>, Vec<Do
         log::info!("port {index} is {address}");
     }
     Ok((attached, doors))
+}
+
+/// Begins a life of the server.
+fn begin(
+    store: Option<&Path>,
+    resolution: ubimap_protocol::units::Millimetres,
+) -> Result<(Option<keeper::Keeper>, Life), RunError> {
+    let epoch = Epoch(random()?.max(1));
+    let (keeper, mut life) = keeper::open(store, resolution, epoch)?;
+    life.first_session = Some(random()?);
+    life.salt = Some(u64::from(random()?) << 32 | u64::from(random()?));
+    Ok((keeper, life))
 }
 
 /// A random number, so that no two lives of the server share an epoch and a session, whatever the clock

@@ -1,9 +1,11 @@
-//! A deployment with its wires, driven by the wall clock.
+//! A deployment with its links and cameras, driven by the wall clock.
 
-use std::time;
+use std::{sync::Arc, time};
 
+use log::Level;
 use ubimap_protocol::{
     frame::{Key, MAX_FRAME},
+    message::Stop,
     time::{Duration, Instant},
     units::{Millimetres, RobotId},
 };
@@ -11,12 +13,19 @@ use ubimap_protocol::{
 use super::{
     attached::Attached,
     bench_camera::BenchCamera,
+    cameras::Cameras,
     links::{Door, Links},
+    message::{Message, Perceived},
+    perceiving::{self, Told},
+    results::{self, Delays},
 };
 use crate::{
-    deployment::{Config, Deployment, Life, Policy},
+    channel::intake::{Arrival, Feed},
+    deployment::{Config, Deployment, Event, Life, Policy},
+    perception::{Observer, robots::RegistryError},
     report::ServeReport,
-    run::{RunError, keeper::Keeper},
+    run::{Outcome, RunError, control::Request, deployment_file::DeployedCamera, keeper::Keeper},
+    server::Command,
 };
 
 /// Maximum wait for an arrival, so that hang-ups and signals are noticed.
@@ -27,19 +36,43 @@ const ARRIVALS: usize = 64;
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
 /// Time for the last messages to the robots: enough for one retransmission.
 const FAREWELL: Duration = Duration::from_millis(500);
+/// Interval at which perception is told the poses that robots report themselves.
+const TELL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// A deployment with its wires, driven by the wall clock.
+/// A deployment with its links and cameras, driven by the wall clock.
 pub struct Station {
     deployment: Deployment,
     links: Links,
     keeper: Option<Keeper>,
-    camera: BenchCamera,
+    eyes: Eyes,
     started: time::Instant,
     buffer: Vec<u8>,
+    /// The number of the last stop command.
+    stops: u32,
+}
+
+/// Links and sockets, and the robots' keys, if they are sealed.
+pub(super) type Connections = ((Vec<Attached>, Vec<Door>), Option<Vec<(RobotId, Key)>>);
+
+/// Who sees the robots.
+enum Eyes {
+    /// The bench's stand-in for cameras.
+    Bench(BenchCamera),
+    /// Cameras, and perception in a thread.
+    Cameras(Watch),
+}
+
+struct Watch {
+    cameras: Arc<Cameras>,
+    deployed: Vec<DeployedCamera>,
+    told: Told,
+    next_tell: Instant,
+    delays: Delays,
 }
 
 impl Station {
-    /// Starts a deployment. With `keys` all of its ports are keyed. Its records go to the keeper, if there is one.
+    /// Starts a deployment on a bench, without cameras. With `keys` all of its ports are keyed. Its
+    /// records go to the keeper, if there is one.
     ///
     /// # Errors
     /// [`RunError::Port`] if no thread can be started; [`RunError::Registry`], which a deployment
@@ -51,20 +84,61 @@ impl Station {
         keys: Option<Vec<(RobotId, Key)>>,
         keeper: Option<Keeper>,
     ) -> Result<Self, RunError> {
-        let mut deployment = Deployment::new(Config::new(resolution), life)?;
+        let config = Config::new(resolution);
+        let eyes = Eyes::Bench(BenchCamera::default());
+        Self::with(config, life, ((wires, doors), keys), keeper, (eyes, time::Instant::now()))
+    }
+
+    /// Starts a deployment with cameras. Those of `config` are not used: perception runs in a thread.
+    /// With keys all ports are keyed.
+    ///
+    /// # Errors
+    /// [`RunError::Port`] if a socket can't be opened or a thread not started; [`RunError::Registry`].
+    pub(super) fn live(
+        config: Config,
+        life: Life,
+        links: Connections,
+        keeper: Option<Keeper>,
+        deployed: Vec<DeployedCamera>,
+    ) -> Result<Self, RunError> {
+        let started = time::Instant::now();
+        let observer = observer(&config, &deployed);
+        let cameras = Cameras::start(&deployed, started)?;
+        let mut number = 0..;
+        let numbers = deployed.iter().map(|it| it.is_placed.then(|| number.next()).flatten());
+        let numbers = numbers.collect();
+        let told = Told::default();
+        let watch = Watch {
+            cameras: Arc::clone(&cameras),
+            deployed,
+            told: told.clone(),
+            next_tell: Instant(0),
+            delays: Delays::default(),
+        };
+        let station = Self::with(config, life, links, keeper, (Eyes::Cameras(watch), started))?;
+        perceiving::start(cameras, observer, numbers, told, station.feed(), started)?;
+        Ok(station)
+    }
+
+    fn with(
+        config: Config,
+        life: Life,
+        ((wires, doors), keys): Connections,
+        keeper: Option<Keeper>,
+        (eyes, started): (Eyes, time::Instant),
+    ) -> Result<Self, RunError> {
+        let mut deployment = Deployment::new(config, life)?;
+        let level = match eyes {
+            Eyes::Bench(_) => Level::Info,
+            Eyes::Cameras(_) => Level::Debug,
+        };
         let policy = if keys.is_some() { Policy::Keyed } else { Policy::Open };
         for (robot, key) in keys.into_iter().flatten() {
             deployment.set_key(robot, key);
         }
-        let links = Links::open(wires, doors, policy, &mut deployment)?;
-        Ok(Self {
-            deployment,
-            links,
-            keeper,
-            camera: BenchCamera::default(),
-            started: time::Instant::now(),
-            buffer: vec![0; 4 * MAX_FRAME],
-        })
+        let links = Links::open(wires, doors, policy, &mut deployment, level)?;
+        let buffer = vec![0; 4 * MAX_FRAME];
+        Ok(Self { deployment, links, keeper, eyes, started, buffer, stops: 0 })
     }
 
     /// The deployment.
@@ -72,9 +146,18 @@ impl Station {
         &self.deployment
     }
 
+    /// What other threads send messages with.
+    pub(super) fn feed(&self) -> Feed<Message> {
+        self.links.feed()
+    }
+
     /// The time since the station started.
     pub fn now(&self) -> Instant {
-        Instant(self.started.elapsed().as_micros() as u64)
+        self.since_start(time::Instant::now())
+    }
+
+    fn since_start(&self, at: time::Instant) -> Instant {
+        Instant(at.saturating_duration_since(self.started).as_micros() as u64)
     }
 
     /// Whether any wire or socket is open.
@@ -82,28 +165,135 @@ impl Station {
         self.links.is_open()
     }
 
+    /// Lets all registered robots explore.
+    pub(super) fn explore(&mut self, robots: impl IntoIterator<Item = RobotId>) {
+        robots.into_iter().for_each(|robot| self.deployment.explore(robot, true));
+    }
+
     /// Does the work that is due and processes input that arrives within a few milliseconds.
     pub fn turn(&mut self) {
-        let now = self.now();
-        let stands = self.links.iter().filter_map(|(port, link)| {
-            Some((self.deployment.port(port).ok()?.robot?, link.stands()?))
-        });
-        if let Some(observation) = self.camera.poll(now, stands) {
-            self.deployment.observe(observation);
-        }
+        self.look();
         self.drain();
         let mut wait = self.wait();
         for _ in 0..ARRIVALS {
             let Some(arrival) = self.links.next_within(wait) else { break };
-            let at = Instant(arrival.at.duration_since(self.started).as_micros() as u64);
-            self.links.take(arrival, &mut self.deployment, at);
-            self.drain();
+            match arrival {
+                Arrival::Port { source, at, what } => {
+                    let at = self.since_start(at);
+                    self.links.take(source, what, &mut self.deployment, at);
+                    self.drain();
+                }
+                Arrival::Message(message) => self.hear(message),
+            }
             wait = time::Duration::ZERO;
         }
         let now = self.now();
         self.links.follow_hang_ups(&mut self.deployment, now);
         self.deployment.timeout(now);
         self.drain();
+    }
+
+    /// Lets the bench's camera look, or tells perception where robots say that they are.
+    fn look(&mut self) {
+        let now = self.now();
+        match &mut self.eyes {
+            Eyes::Bench(camera) => {
+                let stands = self.links.iter().filter_map(|(port, link)| {
+                    Some((self.deployment.port(port).ok()?.robot?, link.stands()?))
+                });
+                if let Some(observation) = camera.poll(now, stands) {
+                    self.deployment.observe(observation);
+                }
+            }
+            Eyes::Cameras(watch) if watch.next_tell <= now => {
+                watch.next_tell = now + TELL_INTERVAL;
+                let moment = self.deployment.server_time(now);
+                watch.told.set(self.deployment.server().whereabouts(moment).collect());
+            }
+            Eyes::Cameras(_) => {}
+        }
+    }
+
+    fn hear(&mut self, message: Message) {
+        match message {
+            Message::Idle => {}
+            Message::Perceived(perceived) => {
+                let Perceived { observation, events, moves, fault, arrived } = *perceived;
+                let camera = observation.camera;
+                self.deployment.observe(observation);
+                for (captured, change, before) in moves {
+                    self.deployment.camera_moved(captured, camera, change, before.as_ref());
+                }
+                for (captured, event) in events {
+                    self.deployment.sighting_event(captured, event);
+                }
+                if let Some(fault) = fault {
+                    self.deployment.frame_error(fault, arrived);
+                }
+                self.drain();
+                let delay = self.now().since(arrived);
+                if let Eyes::Cameras(watch) = &mut self.eyes {
+                    watch.delays.add(delay);
+                }
+            }
+            Message::Request(request, answer) => {
+                let answered = self.obey(request);
+                self.drain();
+                // Whoever has asked may be gone.
+                let _ = answer.send(answered);
+            }
+        }
+    }
+
+    /// Does what a command asks for. Returns the answer.
+    fn obey(&mut self, request: Request) -> Result<String, String> {
+        let now = self.now();
+        match request {
+            Request::Status => Ok(self.status()),
+            Request::Go(robot, place) => {
+                self.deployment.goal(robot, place, now).map_err(|error| error.to_string())?;
+                self.stop(robot, false)?;
+                Ok(format!("robot {} goes to {} m, {} m\n", robot.0, place[0], place[1]))
+            }
+            Request::Stop(robot) => self.each(robot, true),
+            Request::Explore(robot) => self.each(robot, false),
+        }
+    }
+
+    /// Stops a robot, or all with a session, or lets them drive and explore.
+    fn each(&mut self, robot: Option<RobotId>, stop: bool) -> Result<String, String> {
+        let ports = self.deployment.status().ports;
+        let robots: Vec<RobotId> = match robot {
+            Some(robot) => vec![robot],
+            None => ports.iter().filter_map(|port| port.robot).collect(),
+        };
+        for &robot in &robots {
+            self.deployment.explore(robot, !stop);
+            self.stop(robot, stop)?;
+        }
+        let names: Vec<String> = robots.iter().map(|robot| robot.0.to_string()).collect();
+        let what = if stop { "stopped" } else { "exploring" };
+        Ok(format!(
+            "{what}: {}\n",
+            if names.is_empty() { "no robot".into() } else { names.join(", ") }
+        ))
+    }
+
+    fn stop(&mut self, robot: RobotId, stop: bool) -> Result<(), String> {
+        self.stops += 1;
+        let command = Command::Stop(Stop { number: self.stops, stop });
+        self.deployment.command(robot, command).map_err(|error| error.to_string())
+    }
+
+    fn status(&self) -> String {
+        let moment = self.deployment.server_time(self.now());
+        let map = results::map(&self.deployment).ok();
+        let mut text = ServeReport { map, ..self.report() }.to_string();
+        for (robot, pose) in self.deployment.server().whereabouts(moment) {
+            let (x, y, heading) = (pose.x.metres(), pose.y.metres(), pose.heading.degrees());
+            text += &format!("robot {}: at {x:.2} m, {y:.2} m, {heading:.0} degrees\n", robot.0);
+        }
+        text
     }
 
     /// Ends the service in order: tells all robots to stop, and writes what is not on disk yet.
@@ -120,7 +310,11 @@ impl Station {
     /// The time to wait for an arrival.
     fn wait(&self) -> time::Duration {
         let now = self.now();
-        let due = self.deployment.poll_timeout(now).into_iter().chain([self.camera.next()]).min();
+        let bench = match &self.eyes {
+            Eyes::Bench(camera) => Some(camera.next()),
+            Eyes::Cameras(_) => None,
+        };
+        let due = self.deployment.poll_timeout(now).into_iter().chain(bench).min();
         let until_due = due.map_or(LONGEST_WAIT, |due| due.since(now)).min(LONGEST_WAIT);
         time::Duration::from_micros(until_due.max(SHORTEST_WAIT).micros())
     }
@@ -135,20 +329,65 @@ impl Station {
             self.links.write(port, &self.buffer[..len]);
         }
         while let Some((_, event)) = self.deployment.poll_event() {
-            log::log!(event.level(), "{event}");
+            log::log!(self.level(&event), "{event}");
         }
     }
 
-    /// The report on the robots at this time.
+    /// With cameras, what is usual is summed up every minute instead.
+    fn level(&self, event: &Event) -> Level {
+        match (event.level(), &self.eyes) {
+            (Level::Info, Eyes::Cameras(_)) => Level::Debug,
+            (level, _) => level,
+        }
+    }
+
+    /// The report on the robots and cameras at this time.
     pub fn report(&self) -> ServeReport {
         let summary = |(port, link): (_, &Attached)| {
             link.summary(self.deployment.port(port).ok().as_ref(), self.deployment.server())
+        };
+        let cameras = match &self.eyes {
+            Eyes::Bench(_) => Vec::new(),
+            Eyes::Cameras(watch) => {
+                let states = watch.cameras.states();
+                results::cameras(&watch.deployed, &states, &self.deployment, self.now())
+            }
         };
         ServeReport {
             schema: ServeReport::SCHEMA,
             version: ServeReport::VERSION,
             ports: self.links.iter().map(summary).collect(),
+            cameras,
+            map: None,
             elapsed_s: self.started.elapsed().as_secs_f64(),
         }
     }
+
+    /// The results at this time, and one line about them.
+    ///
+    /// # Errors
+    /// [`RunError::Grid`].
+    pub(super) fn outcome(&self) -> Result<(Outcome<ServeReport>, String), RunError> {
+        let (deployed, delays) = match &self.eyes {
+            Eyes::Bench(_) => (&[][..], Delays::default()),
+            Eyes::Cameras(watch) => (&watch.deployed[..], watch.delays.clone()),
+        };
+        let outcome = results::outcome(self.report(), &self.deployment, deployed, self.now())?;
+        let cells = outcome.map.counts().known as f64;
+        let known_m2 = cells * self.deployment.resolution().metres().powi(2);
+        let line = results::summary(&outcome.report, &delays, known_m2);
+        Ok((outcome, line))
+    }
+}
+
+/// Makes perception of the cameras with a pose.
+fn observer(
+    config: &Config,
+    deployed: &[DeployedCamera],
+) -> impl FnOnce() -> Result<Observer, RegistryError> + Send + 'static {
+    let placed = deployed.iter().filter(|camera| camera.is_placed);
+    let calibrations: Vec<_> = placed.map(|camera| camera.calibration).collect();
+    let registry = config.registry.clone();
+    let survey = registry.survey(config.resolution, config.obstacle_heights);
+    move || registry.observer(&calibrations, survey)
 }

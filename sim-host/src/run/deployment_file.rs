@@ -1,0 +1,367 @@
+//! The file of a deployment: what `ubimap serve DEPLOYMENT.toml` serves.
+//!
+//! [`EXAMPLE`], which `ubimap init` writes, shows all keys. Its `[[robots]]` are those of `robots.toml`
+//! ([`registry`](crate::deployment::registry)), and its `[[cameras]]` have the poses of `cameras.toml`
+//! ([`CamerasFile`](crate::camera::CamerasFile)), so that what `place` and `calibrate` write can be copied
+//! or named (`poses`). Paths are relative to the file.
+
+use std::{
+    collections::BTreeSet,
+    path::{Path, PathBuf},
+};
+
+use nalgebra::{Isometry3, Translation3};
+use serde::Deserialize;
+use ubimap_protocol::units::Millimetres;
+
+use super::{RunError, options};
+use crate::{
+    camera::{Calibration, CamerasFile, Lens, MountedCamera},
+    channel::address::Address,
+    deployment::registry::{RegisteredRobot, Registry},
+    files,
+    recording::{IntrinsicsFile, Reading, RecordedFrames},
+};
+
+/// A commented deployment, which `ubimap init` writes.
+pub const EXAMPLE: &str = include_str!("../../doc/deployment.toml");
+
+/// A deployment as its file states it.
+#[derive(Debug)]
+pub struct DeploymentFile {
+    /// The file.
+    pub path: PathBuf,
+    /// The side of the map's cells.
+    pub resolution: Millimetres,
+    /// Heights between which things block robots.
+    pub obstacles: Option<[Millimetres; 2]>,
+    /// The file that the map is stored in.
+    pub store: Option<PathBuf>,
+    /// The folder for the map and the pictures.
+    pub out: PathBuf,
+    /// The folder with the robots' keys; without it the ports are open.
+    pub keys: Option<PathBuf>,
+    /// Where robots are.
+    pub ports: Vec<Address>,
+    /// The robots.
+    pub registry: Registry,
+    /// The cameras.
+    pub cameras: Vec<DeployedCamera>,
+}
+
+/// A camera of a deployment.
+#[derive(Clone, Debug)]
+pub struct DeployedCamera {
+    /// Its name.
+    pub name: String,
+    /// Where its frames come from.
+    pub source: CameraSource,
+    /// Its intrinsics and pose. Without a pose it is shown and not used.
+    pub calibration: Calibration,
+    /// Whether its pose is stated.
+    pub is_placed: bool,
+}
+
+/// Where a camera's frames come from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CameraSource {
+    /// A folder of recorded frames, played at a multiple of real time.
+    Folder(PathBuf, f64),
+    /// A Unix socket at which a sender connects.
+    UnixStream(PathBuf),
+    /// A TCP socket at which a sender connects.
+    TcpStream(std::net::SocketAddr),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Keys {
+    #[serde(default = "usual_resolution_m")]
+    resolution_m: f64,
+    obstacles_m: Option<[f64; 2]>,
+    store: Option<PathBuf>,
+    #[serde(default = "usual_out")]
+    out: PathBuf,
+    keys: Option<PathBuf>,
+    #[serde(default)]
+    ports: Vec<String>,
+    poses: Option<PathBuf>,
+    #[serde(default)]
+    cameras: Vec<toml::Table>,
+    #[serde(default)]
+    robots: Vec<RegisteredRobot>,
+}
+
+fn usual_resolution_m() -> f64 {
+    0.05
+}
+
+fn usual_out() -> PathBuf {
+    "ubimap-out".into()
+}
+
+/// The keys of a camera that are not of its pose.
+#[derive(Deserialize)]
+struct CameraKeys {
+    #[serde(default)]
+    name: String,
+    source: String,
+    #[serde(default = "real_time")]
+    speed: f64,
+    depth: Option<IntrinsicsFile>,
+    picture: Option<IntrinsicsFile>,
+    #[serde(default)]
+    picture_offset_m: [f64; 3],
+}
+
+fn real_time() -> f64 {
+    1.0
+}
+
+/// All keys of a camera; the last line are those that `place` writes for scenarios.
+const CAMERA_KEYS: [&str; 17] = [
+    "name",
+    "source",
+    "speed",
+    "depth",
+    "picture",
+    "picture_offset_m",
+    "position_m",
+    "look_at_m",
+    "heading_deg",
+    "tilt_deg",
+    "roll_deg",
+    "horizontal_fov_deg",
+    "vertical_fov_deg",
+    "range_m",
+    "rate_hz",
+    "latency_ms",
+    "cells_rate_hz",
+];
+
+impl DeploymentFile {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`RunError::Deployment`], which names the file, and the line, camera or robot.
+    pub fn read(path: &Path) -> Result<Self, RunError> {
+        let refuse = |reason: String| RunError::Deployment { path: path.to_owned(), reason };
+        let text = files::read_settings(path).map_err(|error| refuse(error.to_string()))?;
+        let beside = path.parent().unwrap_or(Path::new(""));
+        Self::parse(path, beside, &text).map_err(refuse)
+    }
+
+    fn parse(path: &Path, beside: &Path, text: &str) -> Result<Self, String> {
+        let keys: Keys = toml::from_str(text).map_err(|error| files::toml_fault(&error, text))?;
+        let poses = match &keys.poses {
+            Some(poses) => {
+                let poses = beside.join(poses);
+                let text = files::read_settings(&poses).map_err(|error| error.to_string());
+                let file = text.and_then(|text| CamerasFile::parse(&text));
+                file.map_err(|reason| format!("poses: {}: {reason}", poses.display()))?
+            }
+            None => CamerasFile::default(),
+        };
+        let mut names = BTreeSet::new();
+        let cameras = keys.cameras.into_iter().enumerate().map(|(index, keys)| {
+            let name = keys.get("name").and_then(|name| name.as_str()).unwrap_or_default();
+            let named = match name {
+                "" => format!("cameras[{index}]"),
+                name => format!("camera {name}"),
+            };
+            let camera = camera(keys, index, beside, &poses);
+            let camera = camera.map_err(|reason| format!("{named}: {reason}"))?;
+            match names.insert(camera.name.clone()) {
+                true => Ok(camera),
+                false => Err(format!("two cameras are named {:?}", camera.name)),
+            }
+        });
+        let cameras = cameras.collect::<Result<Vec<_>, String>>()?;
+        let of_robots = keys.robots.iter().filter_map(|robot| robot.port.clone());
+        let mut ports = Vec::new();
+        for port in keys.ports.iter().cloned().chain(of_robots) {
+            let port: Address = port.parse().map_err(|error| format!("ports: {error}"))?;
+            let port = match port {
+                Address::Serial(path) => Address::Serial(beside.join(path)),
+                socket => socket,
+            };
+            if !ports.contains(&port) {
+                ports.push(port);
+            }
+        }
+        let registry = Registry { robots: keys.robots }.checked().map_err(|it| it.to_string())?;
+        let resolution = options::resolution(&keys.resolution_m.to_string())
+            .map_err(|error| format!("resolution_m: {error}"))?;
+        let heights = |[low, high]: [f64; 2]| {
+            options::heights(&format!("{low},{high}"))
+                .map_err(|error| format!("obstacles_m: {error}"))
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            resolution,
+            obstacles: keys.obstacles_m.map(heights).transpose()?,
+            store: keys.store.map(|store| beside.join(store)),
+            out: beside.join(keys.out),
+            keys: keys.keys.map(|keys| beside.join(keys)),
+            ports,
+            registry,
+            cameras,
+        })
+    }
+}
+
+fn camera(
+    keys: toml::Table,
+    index: usize,
+    beside: &Path,
+    poses: &CamerasFile,
+) -> Result<DeployedCamera, String> {
+    if let Some(key) = keys.keys().find(|key| !CAMERA_KEYS.contains(&key.as_str())) {
+        return Err(format!("unknown key `{key}`; the keys are {}", CAMERA_KEYS.join(", ")));
+    }
+    let one_line = |error: toml::de::Error| error.message().lines().collect::<Vec<_>>().join(" ");
+    let stated: CameraKeys = keys.clone().try_into().map_err(one_line)?;
+    let name = match stated.name {
+        name if name.is_empty() => format!("camera-{index:02}"),
+        name => name,
+    };
+    let own = match keys.contains_key("position_m") {
+        true => {
+            let camera: MountedCamera = keys.try_into().map_err(one_line)?;
+            let needs = "position_m needs either look_at_m, or heading_deg and tilt_deg beside it";
+            Some(camera.pose().ok_or(needs)?)
+        }
+        false => None,
+    };
+    let pose = poses.named(&name).and_then(MountedCamera::pose).or(own);
+    let source = source(&stated.source, beside, stated.speed)?;
+    let (calibration, recorded) = match &source {
+        CameraSource::Folder(folder, _) => recorded(folder)?,
+        _ => {
+            let offset = Isometry3::from_parts(
+                Translation3::from(stated.picture_offset_m),
+                Default::default(),
+            );
+            (calibrated(stated.depth.as_ref(), stated.picture.as_ref(), offset)?, None)
+        }
+    };
+    let pose = pose.or(recorded);
+    if pose.is_some_and(|pose| pose.translation.z <= 0.0) {
+        return Err("its height above the floor must be above 0".into());
+    }
+    let calibration = match pose {
+        Some(pose) => calibration.at(pose).map_err(|error| error.to_string())?,
+        None => calibration,
+    };
+    Ok(DeployedCamera { name, source, calibration, is_placed: pose.is_some() })
+}
+
+fn source(text: &str, beside: &Path, speed: f64) -> Result<CameraSource, String> {
+    if !(0.01..=1_000.0).contains(&speed) {
+        return Err(format!("speed: {speed} must be from 0.01 to 1000"));
+    }
+    match text.split_once(':') {
+        Some(("folder", folder)) => Ok(CameraSource::Folder(beside.join(folder), speed)),
+        Some(("stream", at)) => Ok(match format!("tcp:{at}").parse() {
+            Ok(Address::Tcp(address)) => CameraSource::TcpStream(address),
+            _ => CameraSource::UnixStream(beside.join(at)),
+        }),
+        _ => Err(format!(
+            "source: {text:?} is none; give folder:DIR, stream:SOCKET (a path) or stream:HOST:PORT"
+        )),
+    }
+}
+
+/// The calibration of a recorded camera, and its pose, if the folder states one.
+fn recorded(folder: &Path) -> Result<(Calibration, Option<Isometry3<f64>>), String> {
+    let frames = RecordedFrames::open_with(&[folder.to_owned()], Reading::UNPLACED)
+        .map_err(|error| error.to_string())?;
+    match (
+        crate::camera::FrameSource::cameras(&frames),
+        &frames.stated_poses().collect::<Vec<_>>()[..],
+    ) {
+        ([calibration], [pose]) => Ok((*calibration, pose.copied())),
+        (cameras, _) => Err(format!(
+            "{}: holds {} cameras; name the folder of one fixed camera",
+            folder.display(),
+            cameras.len()
+        )),
+    }
+}
+
+/// The calibration of a camera whose depth sensor is at the origin.
+fn calibrated(
+    depth: Option<&IntrinsicsFile>,
+    picture: Option<&IntrinsicsFile>,
+    offset: Isometry3<f64>,
+) -> Result<Calibration, String> {
+    if depth.is_none() && picture.is_none() {
+        return Err(
+            "needs its intrinsics: depth = { width, height, fx, fy, cx, cy }, and picture \
+                    if it has one"
+                .into(),
+        );
+    }
+    let lens = |which: &str, file: Option<&IntrinsicsFile>, pose| {
+        let lens = file.map(|file| {
+            let pinhole = file.pinhole()?;
+            Lens::new(pinhole, pose).map_err(|error| error.to_string())
+        });
+        lens.transpose().map_err(|reason| format!("{which}: {reason}"))
+    };
+    let noise = depth.map_or(Ok(Default::default()), IntrinsicsFile::noise);
+    Ok(Calibration {
+        depth: lens("depth", depth, Isometry3::identity())?,
+        depth_noise: noise.map_err(|error| error.to_string())?,
+        picture: lens("picture", picture, offset)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<DeploymentFile, String> {
+        DeploymentFile::parse(Path::new("d/a.toml"), Path::new("d"), text)
+    }
+
+    #[test]
+    fn the_example_is_a_deployment() {
+        let file = parse(EXAMPLE).unwrap();
+        assert_eq!(file.resolution, Millimetres(50));
+        assert_eq!(file.store.as_deref(), Some(Path::new("d/map.db")));
+        assert_eq!(
+            file.ports.iter().map(Address::to_string).collect::<Vec<_>>(),
+            ["udp:127.0.0.1:4000"]
+        );
+        let [north, south] = &file.cameras[..] else { panic!("{:?}", file.cameras) };
+        assert_eq!(north.source, CameraSource::UnixStream("d/north.sock".into()));
+        assert!(north.is_placed && !south.is_placed);
+        let (depth, picture) = north.calibration.depth.zip(north.calibration.picture).unwrap();
+        assert!((depth.centre().z - 2.8).abs() < 1e-9);
+        assert!(((depth.centre() - picture.centre()).norm() - 0.015).abs() < 1e-9);
+        assert_eq!(file.registry.robots.len(), 2);
+    }
+
+    #[test]
+    fn errors_name_the_place_and_the_remedy() {
+        for (from, to, told) in [
+            ("ports =", "prts =", "unknown field `prts`"),
+            ("tilt_deg", "tilt_dg", "camera north: unknown key `tilt_dg`; the keys are name, "),
+            ("tilt_deg = 45.0", "", "position_m needs either look_at_m, or heading_deg and"),
+            ("stream:north.sock", "north.sock", "give folder:DIR, stream:SOCKET"),
+            ("2.8]", "-2.8]", "its height above the floor must be"),
+            ("\"south\"", "\"north\"", "two cameras are named \"north\""),
+            ("[\"udp:4000\"]", "[\"udp:x\"]", "ports: udp:x: not an address"),
+            ("id = 2", "id = 1", "robot 1 is registered twice"),
+            ("0.05", "0.0505", "resolution_m: must be whole millimetres"),
+            ("fx = 337.2", "fx = 0.2", "depth: fx must be more than one pixel"),
+            ("stream:north.sock", "folder:/no-such", "camera north: /no-such: No such file"),
+        ] {
+            assert!(EXAMPLE.contains(from), "{from}");
+            let error = parse(&EXAMPLE.replacen(from, to, 1)).unwrap_err();
+            assert!(error.contains(told), "{error}");
+            assert_eq!(error.lines().count(), 1, "{error}");
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! `ubimap rig`: the simulated room as the outside world, in real time, in a process of its own.
+//!
+//! It sends the frames of its cameras to the stream sockets of `ubimap serve`, and has the devices of each
+//! robot, an A010 and a Create 2, at pseudo-terminals for `ubimap robot`. The folder that it fills holds
+//! the deployment, a configuration for each robot, and links to the pseudo-terminals. Nothing else passes
+//! between it and the server; the truth goes into its own report.
+
+mod devices;
+mod files;
+mod sender;
+
+use std::{path::PathBuf, thread, time};
+
+use clap::Args;
+use serde::Serialize;
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::Millimetres,
+};
+
+use super::{
+    RunError,
+    body::CAMERA,
+    interruption,
+    options::seconds,
+    room_stage::RoomStage,
+    scoring,
+    simulate::RESOLUTION,
+    stage::{Event, Stage},
+};
+use crate::{
+    camera::FrameSource,
+    grid,
+    report::TruthScores,
+    world::{Scenario, World},
+};
+
+use devices::Devices;
+use sender::Sender;
+
+/// Interval between two looks at the devices.
+const TURN: time::Duration = time::Duration::from_millis(1);
+
+/// Options of `ubimap rig`.
+#[derive(Args, Clone, Debug)]
+pub struct RigOptions {
+    /// A scenario, as of simulate
+    pub scenario: PathBuf,
+
+    /// The folder for the deployment, the robots' configurations and the ports; files that are there
+    /// already are kept
+    #[arg(long, value_name = "DIR", default_value = "rig")]
+    pub folder: PathBuf,
+
+    /// Number of robots, instead of the scenario's
+    #[arg(long, value_name = "N")]
+    pub robots: Option<u16>,
+
+    /// UDP port of the server in the deployment
+    #[arg(long, value_name = "PORT", default_value_t = 4_000)]
+    pub port: u16,
+
+    /// Seed of all random numbers of the room
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+
+    /// Duration in seconds; without it, until stopped
+    #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
+    pub duration: Option<Duration>,
+
+    /// Score this map of the server at the end, against the truth
+    #[arg(long, value_name = "YAML")]
+    pub map: Option<PathBuf>,
+}
+
+/// The truth about the room.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RigReport {
+    /// Always "ubimap-rig".
+    pub schema: &'static str,
+    /// Version of the schema.
+    pub version: u32,
+    /// Each robot's number and true pose at the end: x and y in metres, heading in degrees.
+    pub robots: Vec<(u16, [f64; 3])>,
+    /// Contacts with walls, furniture and other robots.
+    pub collisions: u64,
+    /// Contacts with people.
+    pub touches: u64,
+    /// Frames sent by each camera, and those that were dropped because the server did not take them.
+    pub frames: Vec<(u64, u64)>,
+    /// Maximum time by which the room was behind the wall clock, in milliseconds.
+    pub late_ms: u64,
+    /// Scores of the server's map.
+    pub truth: Option<TruthScores>,
+    /// Duration in seconds.
+    pub elapsed_s: f64,
+}
+
+/// Runs the room until the time is up or a signal interrupts.
+///
+/// # Errors
+/// [`RunError`] if the scenario is invalid, or the folder or a port can't be made.
+pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
+    let mut scenario = Scenario::read_with(&options.scenario, None)?;
+    if let Some(robots) = options.robots {
+        let (asked, there) = (usize::from(robots), scenario.robots.len());
+        if asked > there {
+            return Err(RunError::TooManyRobots { asked, there });
+        }
+        scenario.robots.truncate(asked);
+    }
+    for robot in &mut scenario.robots {
+        *robot = robot.on_create2(CAMERA.binning.side());
+    }
+    let world = World::new(&scenario, None, RESOLUTION, options.seed)?;
+    let devices = world.robots().iter().map(|robot| {
+        let name = format!("robot-{}", robot.id().0);
+        Devices::open(&options.folder.join(name))
+    });
+    std::fs::create_dir_all(&options.folder)
+        .map_err(|error| files::refused(&options.folder, &error))?;
+    let mut devices = devices.collect::<Result<Vec<_>, _>>()?;
+    files::write(&options.folder, &scenario, &world, options.port)?;
+    let senders = FrameSource::cameras(&world).iter().enumerate();
+    let senders =
+        senders.map(|(index, _)| Sender::start(options.folder.join(files::socket(index))));
+    let senders = senders.collect::<Result<Vec<_>, _>>()?;
+
+    let mut stage = RoomStage::filmed(world, Instant(u64::MAX));
+    stage.hand_over();
+    let began = time::Instant::now();
+    let elapsed = || Instant(began.elapsed().as_micros() as u64);
+    let mut late = Duration(0);
+    let is_over = |now: Instant| options.duration.is_some_and(|end| now >= Instant(0) + end);
+    while !interruption::is_requested() && !is_over(elapsed()) {
+        let now = elapsed();
+        late = late.max(now.since(stage.world().now()));
+        while stage.next_event().is_some_and(|next| next <= now)
+            && let Some(event) = stage.poll(now)
+        {
+            match event {
+                Event::Scan { robot, readings } => devices[robot].scan(&readings, now),
+                Event::Frame(frame) => senders[frame.camera].send(frame, began),
+                Event::Odometry { .. } | Event::Observation(_) => {}
+            }
+        }
+        for (index, devices) in devices.iter_mut().enumerate() {
+            devices.exchange(index, &mut stage, now);
+        }
+        thread::sleep(TURN);
+    }
+    let truth = match &options.map {
+        Some(path) => Some(scoring::score(&grid::read_map(path)?, stage.world())?),
+        None => None,
+    };
+    let world = stage.world();
+    let robots = world.robots().iter().map(|robot| {
+        let pose = robot.truth();
+        let place = [pose.x, pose.y].map(Millimetres::metres);
+        (robot.id().0, [place[0], place[1], pose.heading.degrees()])
+    });
+    Ok(RigReport {
+        schema: "ubimap-rig",
+        version: 1,
+        robots: robots.collect(),
+        collisions: world.contacts().collisions,
+        touches: world.contacts().touches,
+        frames: senders.iter().map(Sender::counts).collect(),
+        late_ms: late.micros() / 1_000,
+        truth,
+        elapsed_s: began.elapsed().as_secs_f64(),
+    })
+}

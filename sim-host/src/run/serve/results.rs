@@ -1,0 +1,234 @@
+//! What a server writes and says from time to time, and at its end.
+
+use std::{
+    path::PathBuf,
+    thread,
+    time::{Duration as RealTime, SystemTime, UNIX_EPOCH},
+};
+
+use ubimap_protocol::{
+    time::{Duration, Instant},
+    units::Millimetres,
+};
+
+use super::cameras::{AWAY, CameraState};
+use crate::{
+    camera::Calibration,
+    deployment::Deployment,
+    grid::OccupancyGrid,
+    mapping::ServedLayer,
+    report::{
+        self, Caption, HexDigest, Marker, MarkerKind, OutputFolder, SeenMap, ServeReport,
+        ServedCamera,
+    },
+    run::{Outcome, RunError, deployment_file::DeployedCamera, markers},
+};
+
+/// Interval between two results.
+const INTERVAL: Duration = Duration::from_secs(60);
+
+/// Delays longer than this many milliseconds are counted as this one.
+const LONGEST_MS: usize = 1_000;
+
+/// The delays from the arrival of frames until what was seen in them was sent to the robots.
+#[derive(Clone, Debug)]
+pub(super) struct Delays {
+    /// How many took this many milliseconds, rounded up.
+    counts: Vec<u64>,
+}
+
+impl Default for Delays {
+    fn default() -> Self {
+        Self { counts: vec![0; LONGEST_MS + 1] }
+    }
+}
+
+impl Delays {
+    pub(super) fn add(&mut self, delay: Duration) {
+        let millis = delay.micros().div_ceil(1_000) as usize;
+        self.counts[millis.min(LONGEST_MS)] += 1;
+    }
+
+    /// The delay in milliseconds that 99 % of the frames did not exceed.
+    fn p99_ms(&self) -> Option<u64> {
+        let all: u64 = self.counts.iter().sum();
+        let mut sum = 0;
+        let reaches = |count: &u64| {
+            sum += count;
+            sum * 100 >= all * 99
+        };
+        let found = self.counts.iter().position(reaches);
+        found.filter(|_| all > 0).map(|millis| millis as u64)
+    }
+}
+
+/// The report on the cameras.
+pub(super) fn cameras(
+    cameras: &[DeployedCamera],
+    states: &[CameraState],
+    deployment: &Deployment,
+    now: Instant,
+) -> Vec<ServedCamera> {
+    let status = deployment.status();
+    // Our clock counts from the start; senders' from 1970 or anything else.
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let began = (since_1970.as_micros() as i64).saturating_sub(now.micros() as i64);
+    let summary = |(index, (camera, state)): (usize, (&DeployedCamera, &CameraState))| {
+        let seconds = |offset: i64| offset.saturating_add(began) as f64 / 1e6;
+        let observed = status.cameras.get(&index).copied().unwrap_or_default();
+        ServedCamera {
+            name: camera.name.clone(),
+            has_pose: camera.is_placed,
+            frames: state.frames,
+            skipped: state.skipped,
+            observations: observed.observations,
+            looks: observed.looks,
+            away: state.last.is_none_or(|last| now.since(last) > AWAY),
+            clock_offset_s: state.clock.and_then(|it| it.offset_micros()).map(seconds),
+            clock_jumps: state.clock.map_or(0, |clock| clock.jumps()),
+        }
+    };
+    cameras.iter().zip(states).enumerate().map(summary).collect()
+}
+
+/// The map and what the cameras see of it.
+fn grids(deployment: &Deployment) -> Result<[OccupancyGrid; 2], RunError> {
+    let server = deployment.server();
+    let grid = |layer: &ServedLayer| {
+        let tiles = layer.tiles().map(|(id, _, tile)| (id, tile));
+        OccupancyGrid::from_tiles(tiles, deployment.resolution())
+    };
+    Ok([grid(server.fused())?, grid(server.coverage())?])
+}
+
+fn seen(map: &OccupancyGrid, coverage: &OccupancyGrid, deployment: &Deployment) -> SeenMap {
+    SeenMap::new(map, coverage, HexDigest(deployment.server().fused().digest().0))
+}
+
+/// The figures of the map at this time.
+///
+/// # Errors
+/// [`RunError::Grid`].
+pub(super) fn map(deployment: &Deployment) -> Result<SeenMap, RunError> {
+    let [map, coverage] = grids(deployment)?;
+    Ok(seen(&map, &coverage, deployment))
+}
+
+/// The results at this time.
+pub(super) fn outcome(
+    mut report: ServeReport,
+    deployment: &Deployment,
+    cameras: &[DeployedCamera],
+    now: Instant,
+) -> Result<Outcome<ServeReport>, RunError> {
+    let server = deployment.server();
+    let [map, coverage] = grids(deployment)?;
+    report.map = Some(seen(&map, &coverage, deployment));
+    let caption =
+        Caption { subject: "live".into(), seed: None, time_s: Some(now.micros() as f64 / 1e6) };
+    let placed: Vec<Calibration> =
+        cameras.iter().filter(|it| it.is_placed).map(|it| it.calibration).collect();
+    let views = markers::cameras(placed.iter().map(|camera| (camera, true)));
+    let robots = server.whereabouts(deployment.server_time(now)).map(|(robot, pose)| Marker {
+        radius_m: markers::radius_m(deployment, robot),
+        label: robot.0.to_string(),
+        ..Marker::new(
+            MarkerKind::Robot,
+            [pose.x, pose.y].map(Millimetres::metres),
+            pose.heading.radians(),
+        )
+    });
+    let people = markers::people(deployment, now);
+    let all = robots.chain(people).chain(views.iter().cloned()).collect();
+    let picture = report::render_coverage(&map, &coverage, &views, &caption);
+    Ok(Outcome {
+        report,
+        map,
+        markers: all,
+        caption,
+        pictures: vec![("coverage.png", picture)],
+        tables: Vec::new(),
+    })
+}
+
+/// Writes results into a folder, now and then in a thread, whole or not at all.
+#[derive(Debug)]
+pub(super) struct Writer {
+    out: PathBuf,
+    next: Instant,
+    writing: Option<thread::JoinHandle<()>>,
+}
+
+impl Writer {
+    /// # Errors
+    /// [`RunError::Output`] if the folder can't be written.
+    pub(super) fn new(out: PathBuf) -> Result<Self, RunError> {
+        // Dropped at once: only to fail early.
+        OutputFolder::create(&out)?;
+        Ok(Self { out, next: Instant(0) + INTERVAL, writing: None })
+    }
+
+    /// Whether results are due.
+    pub(super) fn is_due(&self, now: Instant) -> bool {
+        now >= self.next && self.writing.as_ref().is_none_or(thread::JoinHandle::is_finished)
+    }
+
+    /// Writes results in a thread.
+    pub(super) fn write(&mut self, outcome: Outcome<ServeReport>, now: Instant) {
+        self.next = now + INTERVAL;
+        let out = self.out.clone();
+        let work = move || {
+            let written = OutputFolder::create(&out).map_err(RunError::from);
+            if let Err(error) = written.and_then(|folder| outcome.write(folder)) {
+                log::error!("{error}; trying again in a minute");
+            }
+        };
+        match thread::Builder::new().name("results".into()).spawn(work) {
+            Ok(thread) => self.writing = Some(thread),
+            Err(error) => log::error!("results can't be written: {error}"),
+        }
+    }
+
+    /// Writes the last results.
+    ///
+    /// # Errors
+    /// [`RunError`].
+    pub(super) fn finish(mut self, outcome: &Outcome<ServeReport>) -> Result<(), RunError> {
+        while self.writing.as_ref().is_some_and(|thread| !thread.is_finished()) {
+            thread::sleep(RealTime::from_millis(10));
+        }
+        self.writing = None;
+        outcome.write(OutputFolder::create(&self.out)?)
+    }
+}
+
+/// One line about the state, for the log.
+pub(super) fn summary(report: &ServeReport, delays: &Delays, known_m2: f64) -> String {
+    let robots = report.ports.iter().filter(|port| port.session).count();
+    let there = report.cameras.iter().filter(|camera| !camera.away).count();
+    let skipped: u64 = report.cameras.iter().map(|camera| camera.skipped).sum();
+    let frames: u64 = report.cameras.iter().map(|camera| camera.frames).sum();
+    let delay = delays.p99_ms().map_or(String::new(), |ms| format!("; 99 % within {ms} ms"));
+    format!(
+        "{robots} robots, {there} of {} cameras, {known_m2:.1} m2 known; {frames} frames, {skipped} \
+         skipped{delay}",
+        report.cameras.len(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_99th_percentile_of_delays() {
+        let mut delays = Delays::default();
+        assert_eq!(delays.p99_ms(), None);
+        (1..=98).for_each(|_| delays.add(Duration::from_micros(4_001)));
+        delays.add(Duration::from_millis(80));
+        delays.add(Duration::from_secs(60));
+        assert_eq!(delays.p99_ms(), Some(80));
+        (0..2).for_each(|_| delays.add(Duration::from_secs(60)));
+        assert_eq!(delays.p99_ms(), Some(1_000));
+    }
+}
