@@ -13,7 +13,7 @@ use graph::Graph;
 mod graph;
 
 /// The folders of `sim-host`, with the folders that each may import.
-const HOST: [(&str, &[&str]); 18] = [
+const HOST: [(&str, &[&str]); 19] = [
     ("timing", &[]),
     ("files", &[]),
     ("rounding", &[]),
