@@ -29,6 +29,9 @@ const CLEAR: f64 = 50.0;
 /// has turned elsewhere: people and things only come nearer.
 const EXPLAINED: f64 = 0.5;
 const ELSEWHERE: f64 = 0.25;
+/// The part of a knock below which a motion by the last images and neighbours is none: what the camera saw
+/// until then stays in the map.
+const VOUCHED: f64 = 0.25;
 /// Time and number of images after which a doubt is certain, and time after which it is dropped if nothing
 /// can be seen.
 const CERTAIN: Duration = Duration::from_millis(1_500);
@@ -120,7 +123,7 @@ pub struct Steadiness {
     places: Vec<[f64; 2]>,
     /// The last image, and the last that showed the camera in its place.
     last: Instant,
-    vouched: Instant,
+    in_place: Instant,
 }
 
 /// What an image says.
@@ -148,7 +151,7 @@ impl Steadiness {
             agreed: 0,
             places: Vec::new(),
             last: Instant(0),
-            vouched: Instant(0),
+            in_place: Instant(0),
         }
     }
 
@@ -211,7 +214,7 @@ impl Steadiness {
         self.last = captured;
         if !self.view.is_learnt() {
             self.view.learn(depths, captured);
-            self.vouched = captured;
+            self.in_place = captured;
             return None;
         }
         let seconds = elapsed.micros() as f64 / 1e6;
@@ -221,6 +224,10 @@ impl Steadiness {
                 self.recent = self.recent.with(&aligned.motion.faded(COUNTS));
                 let (joint, _) = self.recent.with(&self.words).estimate()?;
                 let pose = self.moved * transform(&joint);
+                let [metres, radians] = lengths(&joint);
+                if metres < KNOCK[0] * VOUCHED && radians < KNOCK[1] * VOUCHED {
+                    self.in_place = captured;
+                }
                 // Where a view tells a direction badly, one image is not enough.
                 if is_accused || is_beyond(&self.recent, KNOCK, CLEAR) {
                     Says::Moved(Aligned { pose, ..aligned })
@@ -261,7 +268,6 @@ impl Steadiness {
                 None
             }
             Says::Steady(aligned) => {
-                self.vouched = captured;
                 self.view.learn(depths, captured);
                 let kept = libm::exp(-seconds / DRIFT_OVER_S);
                 self.gathered = self.gathered.faded(kept).with(&aligned.motion.faded(DRIFT_COUNTS));
@@ -308,7 +314,7 @@ impl Steadiness {
         }
         self.standing = Standing::Out;
         self.begin(found);
-        Some(Change::Knocked { since: self.vouched, pose: found.map(|it| self.origin * it) })
+        Some(Change::Knocked { since: self.in_place, pose: found.map(|it| self.origin * it) })
     }
 
     /// Begins to gather the motion, relative to what is known so far.
