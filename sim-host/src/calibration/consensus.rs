@@ -167,7 +167,7 @@ mod tests {
         let tie = |index: usize| {
             let far = Point3::new(draw(1.5), draw(1.0), 3.0 + draw(0.5));
             let mut near = t_ij.inverse() * far;
-            if index % wrong == 0 {
+            if index.is_multiple_of(wrong) {
                 near += Vector3::new(draw(1.0), draw(1.0), draw(0.5));
             }
             let landmarks = [far, near].map(|it| {

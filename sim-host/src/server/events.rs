@@ -12,7 +12,7 @@ use ubimap_protocol::{
     units::{Millimetres, RobotId},
 };
 
-use super::{coordination::Notice, inbox::Unread};
+use super::{coordination::Notice, unread::Unread};
 use crate::perception::{Lying, robots::SightingEvent};
 
 /// Number of events kept per robot.

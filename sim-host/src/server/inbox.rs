@@ -1,17 +1,15 @@
 //! Passes a robot's messages to the parts of the server that handle them.
 
-use core::fmt;
-
 use ubimap_protocol::{
     message::{
-        Digests, Event, EventCode, Message, Messages, State, TileDigest, TileUpdateHead, ToServer,
-        ToServerKind, ToServerMessage,
+        Digests, Event, EventCode, Messages, State, TileDigest, TileUpdateHead, ToServer,
+        ToServerMessage,
     },
     tile::{Layer, tile_hash},
     time::Instant,
 };
 
-use super::{session::Session, surroundings::Surroundings};
+use super::{session::Session, surroundings::Surroundings, unread::Unread};
 use crate::mapping::{RobotLayer, Updated};
 
 /// The effects of the messages in a frame.
@@ -25,44 +23,6 @@ pub(super) struct Taken {
     pub(super) unread: Vec<Unread>,
     /// Number of tiles in updates whose state was old.
     pub(super) late: u32,
-}
-
-/// A message that could not be read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Unread {
-    /// Its kind, by number, is not known to this version.
-    Unknown(u8),
-    /// It can't be read as its kind, or breaks a rule.
-    Malformed {
-        /// The number of the kind.
-        number: u8,
-        /// Length of the body in bytes.
-        len: usize,
-    },
-}
-
-impl Unread {
-    pub(super) fn of(message: Message<'_, ToServer>) -> Self {
-        match message.kind() {
-            None => Self::Unknown(message.number),
-            Some(_) => Self::Malformed { number: message.number, len: message.body.len() },
-        }
-    }
-}
-
-impl fmt::Display for Unread {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::Unknown(number) => {
-                write!(f, "a message of kind {number}, which this version does not know")
-            }
-            Self::Malformed { number, len } => {
-                let kind = ToServerKind::from_number(number);
-                let name = kind.map_or_else(String::new, |kind| format!("{kind:?} "));
-                write!(f, "a malformed {name}(kind {number}, {len} bytes)")
-            }
-        }
-    }
 }
 
 impl Taken {

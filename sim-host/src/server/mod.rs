@@ -30,6 +30,7 @@ mod session;
 mod shared_map;
 mod snapshot;
 mod surroundings;
+mod unread;
 mod unsaved;
 mod voided;
 
@@ -68,9 +69,9 @@ use crate::{
 pub use crate::perception::Footprint;
 pub use command::Command;
 pub use events::{Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, described};
-pub use inbox::Unread;
 pub use port::{MessageCounters, Policy};
 pub use ports::{CommandError, NoSuchPort};
+pub use unread::Unread;
 
 /// Maximum number of robots that the server knows at once, including those in the store.
 pub const MAX_ROBOTS: usize = 1_024;

@@ -10,11 +10,11 @@ use ubimap_protocol::{
 
 use super::{
     command::Command,
-    inbox::Unread,
     inflow::Inflow,
     keyring::Keyring,
     session::{Link, Session},
     snapshot::Snapshot,
+    unread::Unread,
 };
 use crate::timing::SESSION_SILENT;
 

@@ -243,7 +243,8 @@ fn listen_unix(_: Sink, path: &Path) -> Result<(), WireError> {
     Err(WireError::Open { name: path.display().to_string(), reason })
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use std::{io::Write, os::unix::net::UnixStream};
 
