@@ -135,13 +135,12 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
     while !interruption::is_requested() && !is_over(elapsed()) {
         let now = elapsed();
         late = late.max(now.since(stage.world().now()));
-        while stage.next_event().is_some_and(|next| next <= now)
-            && let Some(event) = stage.poll(now)
-        {
-            match event {
-                Event::Scan { robot, readings } => devices[robot].scan(&readings, now),
-                Event::Frame(frame) => senders[frame.camera].send(frame, began),
-                Event::Odometry { .. } | Event::Observation(_) => {}
+        // Each event at its own time: the room may be behind the clock, and a camera's latency hides that.
+        while let Some(next) = stage.next_event().filter(|&next| next <= now) {
+            match stage.poll(next) {
+                Some(Event::Scan { robot, readings }) => devices[robot].scan(&readings, next),
+                Some(Event::Frame(frame)) => senders[frame.camera].send(frame, began),
+                Some(Event::Odometry { .. } | Event::Observation(_)) | None => {}
             }
         }
         for (index, devices) in devices.iter_mut().enumerate() {
