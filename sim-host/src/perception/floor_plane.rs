@@ -301,7 +301,7 @@ mod tests {
                 let depth = if is_table { 0.7 * floor } else { floor.min(wall) };
                 let noise: f64 = StandardNormal.sample(&mut dice);
                 let depth = depth + noise * DepthNoise::D435.sigma_m(depth);
-                image::Luma([if depth < 8.0 { (1000.0 * depth) as u16 } else { 0 }])
+                image::Luma([if depth < 8.0 { (1000.0 * depth).round() as u16 } else { 0 }])
             }));
         }
         let up = rotation.inverse() * Vector3::z();
