@@ -299,7 +299,7 @@ fn stated_deviations_cover_the_common_error_of_a_floor() {
     assert!(median.iter().all(|it| (0.5..2.0).contains(it)), "{median:?}");
     assert!(mean.iter().all(|it| (0.7..1.4).contains(it)), "{mean:?}");
     for camera in instances.iter_mut().flat_map(|it| &mut it.observations.cameras) {
-        camera.floor.as_mut().unwrap().places_landmarks = false;
+        camera.floor.as_mut().unwrap().placing = None;
     }
     let (as_independent, _) = summary(&squared_sigmas(&instances));
     println!("as independent: median {as_independent:.2?}");

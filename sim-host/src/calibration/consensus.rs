@@ -171,8 +171,10 @@ mod tests {
                 near += Vector3::new(draw(1.0), draw(1.0), draw(0.5));
             }
             let landmarks = [far, near].map(|it| {
-                let spread = Vector3::new(draw(0.007), draw(0.007), draw(0.03));
-                Landmark { position: it + spread, label: None, noise }
+                // The error of the depth is along the ray.
+                let along = it.coords * (draw(0.03) / it.z);
+                let across = Vector3::new(draw(0.006), draw(0.006), 0.0);
+                Landmark { position: it + along + across, label: None, noise }
             });
             Tie::new([index, index], [&landmarks[0], &landmarks[1]])
         };

@@ -152,7 +152,7 @@ impl LandmarkFinder {
             match viewer.floor(&self.mounts) {
                 Ok(floor) => {
                     let stated = Floor::new(floor.normal.into_inner(), floor.height_m);
-                    camera.floor = stated.map(|it| Floor { places_landmarks: true, ..it });
+                    camera.floor = stated.map(|it| Floor { placing: Some(floor.covariance), ..it });
                     for (captured, marker) in &viewer.markers {
                         if let Some(at) = viewer.place(marker, &floor, &self.mounts) {
                             let trails = trails.entry(marker.identifier).or_default();

@@ -47,9 +47,10 @@ pub struct Floor {
     pub normal_sigma_rad: f64,
     /// Standard deviation of the height, in metres.
     pub height_sigma_m: f64,
-    /// Whether the camera's landmarks were placed where their rays meet a height above this floor: then
-    /// its error is common to all of them.
-    pub places_landmarks: bool,
+    /// If the camera's landmarks were placed where their rays meet a height above this floor, so that its
+    /// error is common to all of them: the covariance of its normal along
+    /// [`FloorPlane::axes`](crate::perception::FloorPlane::axes), in radians, and of its height, in metres.
+    pub placing: Option<Matrix3<f64>>,
 }
 
 /// Why observations can't be used. The key is that of the file: `cameras[1].landmarks[3]`.
@@ -132,7 +133,7 @@ impl Floor {
             height_m,
             normal_sigma_rad: Self::NORMAL_SIGMA_RAD,
             height_sigma_m: Self::HEIGHT_SIGMA_M,
-            places_landmarks: false,
+            placing: None,
         })
     }
 

@@ -8,13 +8,14 @@
 //! the pose of j in i, as in `T_0k = T_0i T_ij T_jk`, and the residual is `T_0i p_i - T_0j p_j` in
 //! `R0`, which has the same length.
 
-use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Isometry3, Matrix3, Matrix6, MatrixXx3, Vector3, Vector6};
 
 use super::{
     levenberg_marquardt::{LeastSquares, minimise},
     observations::Floor,
     tie::{self, Jacobian, Tie, jacobian, rotated},
 };
+use crate::perception::FloorPlane;
 
 /// How residuals are weighted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -229,14 +230,6 @@ fn floor_jacobian(floor: &Floor, pose: &Isometry3<f64>) -> Jacobian {
     jacobian
 }
 
-/// Two axes in the floor's plane, in the optical frame, towards which its normal may err.
-fn floor_axes(floor: &Floor) -> [Vector3<f64>; 2] {
-    let normal = floor.normal.into_inner();
-    let other = if normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
-    let first = normal.cross(&other).normalize();
-    [first, normal.cross(&first)]
-}
-
 /// The derivatives of a landmark's position in the optical frame by the errors of the floor: of its normal
 /// along two axes, and of its height.
 ///
@@ -267,7 +260,7 @@ impl Weighted<'_> {
     /// `J^T W S W J` with the covariance S of the residuals that are independent: the normal equations'
     /// own noise.
     fn noise(&self, poses: &[Isometry3<f64>]) -> DMatrix<f64> {
-        let has_own_noise = |floor: &Floor| !floor.places_landmarks;
+        let has_own_noise = |floor: &Floor| floor.placing.is_none();
         self.sum(poses, |term| term.weight * term.covariance * term.weight, has_own_noise).1
     }
 
@@ -276,9 +269,11 @@ impl Weighted<'_> {
     fn common_noise(&self, poses: &[Isometry3<f64>]) -> DMatrix<f64> {
         let mut noise = DMatrix::zeros(self.parameters, self.parameters);
         for (camera, floor) in self.floors.iter().enumerate() {
-            let Some(floor) = floor.filter(|floor| floor.places_landmarks) else { continue };
-            let axes = floor_axes(&floor);
-            let mut slopes = DMatrix::zeros(self.parameters, 3);
+            let Some((floor, covariance)) = floor.and_then(|it| Some((it, it.placing?))) else {
+                continue;
+            };
+            let axes = FloorPlane::axes(&floor.normal);
+            let mut slopes = MatrixXx3::<f64>::zeros(self.parameters);
             for term in self.terms.iter().filter(|term| term.cameras.contains(&camera)) {
                 let side = usize::from(term.cameras[1] == camera);
                 let sign = if side == 0 { 1.0 } else { -1.0 };
@@ -301,11 +296,7 @@ impl Weighted<'_> {
                     slopes[(to_row, error)] += slope[(row, error)];
                 }
             }
-            let sigmas = [floor.normal_sigma_rad, floor.normal_sigma_rad, floor.height_sigma_m];
-            for (mut column, sigma) in slopes.column_iter_mut().zip(sigmas) {
-                column *= sigma;
-            }
-            noise += &slopes * slopes.transpose();
+            noise += &slopes * covariance * slopes.transpose();
         }
         noise
     }

@@ -121,6 +121,9 @@ pub struct FloorPlane {
     pub height_m: f64,
     /// The share of the measured pixels that belong to the floor.
     pub share: f64,
+    /// The covariance of the normal's errors along [`FloorPlane::axes`], in radians, and of the height's, in
+    /// metres, by the noise of the depths; zero if it was not fitted.
+    pub covariance: Matrix3<f64>,
 }
 
 impl FloorPlane {
@@ -189,9 +192,9 @@ impl FloorPlane {
         let normal = UnitVector3::try_new(normal, 1e-9)?;
         let height_m = -normal.dot(&point.coords);
         let plane = if height_m < 0.0 {
-            Self { normal: -normal, height_m: -height_m, share: 0.0 }
+            Self { normal: -normal, height_m: -height_m, share: 0.0, covariance: Matrix3::zeros() }
         } else {
-            Self { normal, height_m, share: 0.0 }
+            Self { normal, height_m, share: 0.0, covariance: Matrix3::zeros() }
         };
         (plane.height_m >= LEAST_HEIGHT_M).then_some(plane)
     }
@@ -233,7 +236,23 @@ impl FloorPlane {
             weighted().map(|(at, weight)| (at - middle) * (at - middle).transpose() * weight).sum();
         let eigen = scatter.symmetric_eigen();
         let least = eigen.eigenvalues.imin();
-        Self::of(eigen.eigenvectors.column(least).into_owned(), &middle.into())
+        let mut plane = Self::of(eigen.eigenvectors.column(least).into_owned(), &middle.into())?;
+        let [first, second] = Self::axes(&plane.normal);
+        let information: Matrix3<f64> = weighted()
+            .map(|(at, weight)| {
+                let slope = Vector3::new(first.dot(&at), second.dot(&at), 1.0);
+                slope * slope.transpose() * weight
+            })
+            .sum();
+        plane.covariance = information.try_inverse()? * (scale * scale);
+        Some(plane)
+    }
+
+    /// Two axes at right angles to a normal and to each other, along which the normal may err.
+    pub fn axes(normal: &UnitVector3<f64>) -> [Vector3<f64>; 2] {
+        let other = if normal.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
+        let first = normal.cross(&other).normalize();
+        [first, normal.cross(&first)]
     }
 }
 
@@ -282,7 +301,7 @@ mod tests {
                 let depth = if is_table { 0.7 * floor } else { floor.min(wall) };
                 let noise: f64 = StandardNormal.sample(&mut dice);
                 let depth = depth + noise * DepthNoise::D435.sigma_m(depth);
-                image::Luma([if depth < 8.0 { (1000.0 * depth) as u16 } else { 0 }])
+                image::Luma([if depth < 8.0 { (1000.0 * depth).round() as u16 } else { 0 }])
             }));
         }
         let up = rotation.inverse() * Vector3::z();
@@ -298,6 +317,14 @@ mod tests {
             let found = FloorPlane::find(&samples, is_level).unwrap();
             let tilt_deg = found.normal.angle(&up).to_degrees();
             assert!((found.height_m - 2.8).abs() < 0.003 && tilt_deg < 0.08, "{found:?}");
+            // The stated deviations are of the size of the errors, within a factor of five.
+            let [first, second, height] = [0, 1, 2].map(|it| found.covariance[(it, it)].sqrt());
+            let stated_deg = first.hypot(second).to_degrees();
+            assert!(
+                (0.0002..0.08).contains(&stated_deg) && tilt_deg < 5.0 * stated_deg,
+                "{found:?}"
+            );
+            assert!((found.height_m - 2.8).abs() < 5.0 * height && height < 0.003, "{found:?}");
         }
     }
 
@@ -306,7 +333,7 @@ mod tests {
         let rotation = Orientation { tilt_rad: 0.9, heading_rad: 0.4, roll_rad: 0.0 }.rotation();
         let truth = Isometry3::from_parts(Translation3::new(1.0, 2.0, 2.8), rotation);
         let normal = UnitVector3::new_normalize(rotation.inverse() * Vector3::z());
-        let plane = FloorPlane { normal, height_m: 2.8, share: 1.0 };
+        let plane = FloorPlane { normal, height_m: 2.8, share: 1.0, covariance: Matrix3::zeros() };
         // Tilt, roll and height are wrong; the floor can't tell the heading.
         let turn = UnitQuaternion::from_euler_angles(0.03, -0.02, 0.0);
         let stated = Isometry3::from_parts(Translation3::new(1.0, 2.0, 2.85), turn * rotation);

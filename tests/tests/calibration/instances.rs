@@ -1,6 +1,6 @@
 //! Rooms with cameras of known poses that see landmarks with the noise of a D435.
 
-use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ubimap_sim_host::{
@@ -221,7 +221,8 @@ pub(crate) fn placed_by_floors(seed: u64) -> Instance {
     let noise = PointNoise::new(0.002, DepthNoise::new(0.002, 0.0).unwrap()).unwrap();
     for (camera, pose) in instance.observations.cameras.iter_mut().zip(&instance.truth) {
         let floor = camera.floor.as_mut().unwrap();
-        floor.places_landmarks = true;
+        let variances = [floor.normal_sigma_rad, floor.normal_sigma_rad, floor.height_sigma_m];
+        floor.placing = Some(Matrix3::from_diagonal(&Vector3::from(variances.map(|it| it * it))));
         for landmark in &mut camera.landmarks {
             let height_m = (pose * landmark.position).z;
             let ray = landmark.position.coords;
