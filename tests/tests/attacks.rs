@@ -166,13 +166,13 @@ impl Room<'_> {
     }
 
     /// Sends frames to the server at the robot's port.
-    fn to_server(&mut self, frames: &[Vec<u8>]) {
+    fn give_server(&mut self, frames: &[Vec<u8>]) {
         for frame in frames {
             self.server.receive(self.port, frame, self.now).unwrap();
         }
     }
 
-    fn to_robot(&mut self, frames: &[Vec<u8>]) {
+    fn give_robot(&mut self, frames: &[Vec<u8>]) {
         frames.iter().for_each(|frame| self.robot.receive(frame, self.now));
     }
 
@@ -278,7 +278,7 @@ fn replayed_hellos() {
     let attack: Attack = |room, _| {
         let hellos: Vec<_> = room.up.iter().filter(|it| is_handshake(it)).cloned().collect();
         let five: Vec<_> = hellos.iter().cycle().take(5).cloned().collect();
-        room.to_server(&five);
+        room.give_server(&five);
     };
     costs_nothing_without_keys(attack);
     assert!(costs_a_counter(attack) > 5 * 100);
@@ -291,7 +291,7 @@ fn a_forged_parameter() {
         let set = ParameterAction::Set(ParameterValue { parameter: 3, value });
         let command = ParameterCommand { number: step as u16, action: set };
         let frames = room.forge::<ToRobot>(FrameKind::Datagram, 0, |it| it.push(&command));
-        room.to_robot(&frames);
+        room.give_robot(&frames);
     };
     let turned = run(false, attack).0.mounting;
     assert_eq!(turned.heading, Angle(3_641), "20 degrees");
@@ -304,8 +304,8 @@ fn a_forged_stop_with_the_highest_number() {
         if step == CALM {
             let stop = Stop { number: u32::MAX, stop: true };
             let frames = room.forge::<ToRobot>(FrameKind::Datagram, 0, |it| it.push(&stop));
-            room.to_robot(&frames);
-            room.to_robot(&frames);
+            room.give_robot(&frames);
+            room.give_robot(&frames);
         }
         // The server's own commands have lower numbers.
         let go = Command::Stop(Stop { number: step as u32, stop: false });
@@ -323,7 +323,7 @@ fn empty_frames_that_use_up_sequence_numbers() {
         if step == CALM {
             for sequence in 0..200 {
                 let frames = room.forge::<ToServer>(FrameKind::Reliable, sequence, |_| true);
-                room.to_server(&frames);
+                room.give_server(&frames);
             }
         }
     };
@@ -339,7 +339,7 @@ fn a_phantom_through_a_forged_state() {
         let pose = Some(Pose::from_metres(9.0, 9.0, 0.0));
         let state = State { time: Some(room.now), pose, odometry: None, cells_refused: 0 };
         let frames = room.forge::<ToServer>(FrameKind::Datagram, 0, |it| it.push(&state));
-        room.to_server(&frames);
+        room.give_server(&frames);
     };
     let [(ID, pose)] = run(false, attack).0.whereabouts[..] else { panic!("one robot") };
     assert!(pose.x.metres() > 8.0, "{pose:?}");
@@ -374,8 +374,8 @@ fn replayed_frames_of_the_session() {
         };
         if step.is_multiple_of(20) {
             let (up, down) = (newest(&room.up), newest(&room.down));
-            room.to_server(&up);
-            room.to_robot(&down);
+            room.give_server(&up);
+            room.give_robot(&down);
         }
     };
     assert!(costs_a_counter(attack) > 500);
@@ -395,8 +395,8 @@ fn altered_and_truncated_frames() {
             [frame, short]
         };
         let (up, down) = (damaged(&room.up), damaged(&room.down));
-        room.to_server(&up);
-        room.to_robot(&down);
+        room.give_server(&up);
+        room.give_robot(&down);
     };
     costs_nothing_without_keys(attack);
     costs_a_counter(attack);
@@ -407,7 +407,7 @@ fn replayed_welcomes_and_resets() {
     let attack: Attack = |room, _| {
         let answers: Vec<_> = room.down.iter().filter(|it| is_handshake(it)).cloned().collect();
         assert!(answers.len() >= 3, "two Welcomes and a Reset");
-        room.to_robot(&answers);
+        room.give_robot(&answers);
     };
     costs_nothing_without_keys(attack);
     assert!(costs_a_counter(attack) > 300);

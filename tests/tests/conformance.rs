@@ -20,7 +20,7 @@ use ubimap_sim_host::conformance::{
 };
 use ubimap_sim_host::run::conformance::{self, options::ConformanceOptions};
 use ubimap_tests::conformance::{
-    Context, Hooks, KEY, RobotPeer, ServerPeer, Spoiled, VirtualBench, edit, without,
+    Context, Hooks, KEY, Reaction, RobotPeer, ServerPeer, Spoiled, VirtualBench, edit, without,
 };
 use ubimap_tests::emulator::{Emulator, firmware, leave_out};
 
@@ -50,7 +50,7 @@ const fn outwards(
 const fn bad(
     fault: &'static str,
     check: &'static str,
-    hook: fn(&mut Context, &[u8], SessionId) -> (Option<Vec<u8>>, Vec<Frame>),
+    hook: fn(&mut Context, &[u8], SessionId) -> Reaction,
 ) -> Mutant {
     Mutant { fault, check, hooks: Hooks { bad: hook, ..Hooks::NONE } }
 }

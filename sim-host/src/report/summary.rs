@@ -401,7 +401,8 @@ mod tests {
         );
         assert_eq!(
             names(&json["robots"][0]["link"]),
-            "bad duplicates late malformed received refused retransmissions sent unknown"
+            "bad duplicates forged late malformed received refused replayed retransmissions sent \
+             unknown"
         );
         assert_eq!(names(&json["robots"][0]["pixels"]), "invalid kept omitted seen");
         assert_eq!(

@@ -5,5 +5,5 @@ mod spoiled;
 mod virtual_bench;
 
 pub use peers::{KEY, RobotPeer, ServerPeer};
-pub use spoiled::{Context, Hooks, Spoiled, edit, without};
+pub use spoiled::{Context, Hooks, Reaction, Spoiled, edit, without};
 pub use virtual_bench::{Peer, VirtualBench};

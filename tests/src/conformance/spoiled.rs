@@ -41,6 +41,9 @@ impl Context {
     }
 }
 
+/// What a peer reads instead of bytes that are no good frame, and the frames that it sends at once.
+pub type Reaction = (Option<Vec<u8>>, Vec<Frame>);
+
 /// A fault: what it does to the good frames to and from the peer, and to the bytes that are not a
 /// good frame.
 #[derive(Clone, Copy)]
@@ -50,7 +53,7 @@ pub struct Hooks {
     /// Frames from the peer to the runner.
     pub outwards: fn(&mut Context, Frame) -> Vec<Frame>,
     /// Bytes from the runner that are no good frame: what the peer reads, and what it sends at once.
-    pub bad: fn(&mut Context, &[u8], SessionId) -> (Option<Vec<u8>>, Vec<Frame>),
+    pub bad: fn(&mut Context, &[u8], SessionId) -> Reaction,
 }
 
 impl fmt::Debug for Hooks {
