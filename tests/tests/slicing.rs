@@ -155,7 +155,12 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 fn read(folder: &Path, slice: DepthSlice, pixels: PixelModel) -> Log {
-    recording::read(folder, None, Slicing { slice, pixels, up: UpAxis::Cameras }).unwrap()
+    recording::read(
+        folder,
+        None,
+        Slicing { slice, pixels, up: UpAxis::Cameras, ..Slicing::default() },
+    )
+    .unwrap()
 }
 
 #[test]

@@ -167,7 +167,7 @@ mod tests {
         let tie = |index: usize| {
             let far = Point3::new(draw(1.5), draw(1.0), 3.0 + draw(0.5));
             let mut near = t_ij.inverse() * far;
-            if index % wrong == 0 {
+            if index.is_multiple_of(wrong) {
                 near += Vector3::new(draw(1.0), draw(1.0), draw(0.5));
             }
             let landmarks = [far, near].map(|it| {
@@ -193,7 +193,9 @@ mod tests {
                 let plain = all.min_by(|a, b| a.cost.total_cmp(&b.cost)).unwrap();
                 let found = best(&ties, &samples, gate).unwrap();
                 assert_eq!(found.agreeing, plain.agreeing, "{seed} {count} {wrong}");
-                assert!(found.agreeing.iter().filter(|it| (*it + 1) % wrong == 0).count() <= 1);
+                assert!(
+                    found.agreeing.iter().filter(|it| (*it + 1).is_multiple_of(wrong)).count() <= 1
+                );
             }
         }
     }

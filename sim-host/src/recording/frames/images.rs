@@ -68,8 +68,8 @@ impl Images {
             && (pictures.is_empty() || picture_times.is_some());
         // Numbers in the names order images without times, and pair them.
         let mut images = Self { frames: BTreeMap::new(), times: None, list };
-        let depth_times = depth_times.map_or_else(Vec::new, |times| times);
-        let picture_times = picture_times.map_or_else(Vec::new, |times| times);
+        let depth_times = depth_times.unwrap_or_default();
+        let picture_times = picture_times.unwrap_or_default();
         for (index, path) in depths.into_iter().enumerate() {
             let time = depth_times.get(index).copied();
             let number = time.filter(|_| are_timed).map_or_else(|| number_in(&path), micros);
