@@ -158,7 +158,7 @@ fn read(folder: &Path, slice: DepthSlice, pixels: PixelModel) -> Log {
     recording::read(
         folder,
         None,
-        Slicing { slice, pixels, up: UpAxis::Cameras, depth_per_metre: None },
+        Slicing { slice, pixels, up: UpAxis::Cameras, ..Slicing::default() },
     )
     .unwrap()
 }

@@ -193,7 +193,9 @@ mod tests {
                 let plain = all.min_by(|a, b| a.cost.total_cmp(&b.cost)).unwrap();
                 let found = best(&ties, &samples, gate).unwrap();
                 assert_eq!(found.agreeing, plain.agreeing, "{seed} {count} {wrong}");
-                assert!(found.agreeing.iter().filter(|it| (*it + 1) % wrong == 0).count() <= 1);
+                assert!(
+                    found.agreeing.iter().filter(|it| (*it + 1).is_multiple_of(wrong)).count() <= 1
+                );
             }
         }
     }
