@@ -51,15 +51,12 @@ pub(super) fn check(
             seen(&plane, &error, trust, is_enough)
         });
         match floor {
-            Some(floor) if is_clear(&floor) => {
+            // A few images tell little: their noise is not averaged.
+            Some(floor) if is_clear(&floor) && (is_enough || floor.is_corrected) => {
                 let advice = match (floor.is_corrected, trust) {
                     (true, _) => "",
                     (false, TrustFloor::Never) => {
                         "; correct its pose, or leave out --trust-floor never"
-                    }
-                    (false, _) if !is_enough => {
-                        "; its images are too few to correct it: correct the pose, or use --trust-floor \
-                         always"
                     }
                     (false, _) => {
                         "; it fills too little of the view to be trusted: correct the pose, or use \
@@ -68,6 +65,10 @@ pub(super) fn check(
                 };
                 log::warn!("{name}: the floor is off by {floor}{advice}");
             }
+            Some(floor) if !is_enough => log::info!(
+                "{name}: the floor is off by {floor}, by too few images to be sure; --trust-floor always \
+                 corrects it all the same"
+            ),
             Some(floor) => log::info!("{name}: the floor is off by {floor}"),
             None => {
                 log::info!("{name}: height and tilt are not checked: {}", unseen(found.as_ref()))

@@ -189,7 +189,7 @@ fn late_updates_of_closed_epochs_change_nothing() {
     let before = layer.clone();
     for late in [update(1, 2, None, &second), update(2, 2, Some((1, &first)), &second)] {
         let (updated, result) = layer.update(&late, 9);
-        assert_eq!((updated, result), (Updated::default(), Ok(())));
+        assert_eq!((updated, result), (Updated { late: 1, ..Updated::default() }, Ok(())));
     }
     assert_eq!(layer.seen(ID), before.seen(ID));
     layer.discard(ID, Stamp { epoch: Epoch(2), version: Version(1) });
