@@ -2,7 +2,7 @@
 //!
 //! [`EXAMPLE`], which `ubimap init` writes, shows all keys. Its `[[robots]]` are those of `robots.toml`
 //! ([`registry`](crate::deployment::registry)), and its `[[cameras]]` have the poses of `cameras.toml`
-//! ([`CamerasFile`](crate::camera::CamerasFile)), so that what `place` and `calibrate` write can be copied
+//! ([`CamerasFile`]), so that what `place` and `calibrate` write can be copied
 //! or named (`poses`). Paths are relative to the file.
 
 use std::{

@@ -86,7 +86,7 @@ impl Server {
                         }
                     }
                 }
-                Received::Bad(_) => {}
+                Received::Sealed(_) | Received::Stray(..) | Received::Bad(_) => {}
             }
         }
         while self.link.poll_acknowledged().is_some() {}
