@@ -506,7 +506,7 @@ struct CommandLine {
 
 /// Takes seven minutes.
 #[test]
-#[ignore = "takes minutes of real time: cargo thorough"]
+#[ignore = "takes minutes of real time: cargo conforming"]
 fn our_agent_passes_as_a_process() {
     let cargo = process::Command::new(env!("CARGO"))
         .args(["build", "--quiet", "--package", "ubimap-agent", "--example", "stdio_robot"])
@@ -518,7 +518,7 @@ fn our_agent_passes_as_a_process() {
 
 /// Takes seven minutes. The image gets no bytes of a sensor, so it maps nothing.
 #[test]
-#[ignore = "runs an image in the emulator: cargo thorough"]
+#[ignore = "runs an image in the emulator: cargo conforming"]
 fn our_image_passes_in_the_emulator() {
     let emulator = match firmware().and_then(|image| Emulator::start(&image)) {
         Ok(emulator) => emulator,
