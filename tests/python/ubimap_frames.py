@@ -97,7 +97,11 @@ class SealedFrames:
         if number == 3:
             raise Refused("header")
         kind = KINDS[number]
-        payload = self.read_answer(contents) if kind == HANDSHAKE else self.read_session(contents)
+        if kind == HANDSHAKE:
+            return kind, word & 2047, self.read_answer(contents)
+        payload = self.read_session(contents)
+        if word >> 13 & 3 != VERSION:
+            raise Refused("version")
         return kind, word & 2047, payload
 
     def read_answer(self, contents):
