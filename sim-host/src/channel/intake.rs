@@ -86,11 +86,13 @@ impl<M> Feed<M> {
     }
 }
 
-/// A thread that waits at a port; it ends soon after this is dropped.
+/// A thread that waits at a port. When this is dropped, the thread closes the port and ends.
 #[derive(Debug)]
 pub struct Listening {
     source: SourceId,
     closed: Arc<AtomicBool>,
+    /// Becomes disconnected when the thread has closed the port.
+    open: mpsc::Receiver<()>,
 }
 
 impl<M> Default for Intake<M> {
@@ -153,6 +155,7 @@ impl<M: Send + 'static> Intake<M> {
         let source = SourceId(self.next_source);
         self.next_source += 1;
         let closed = Arc::new(AtomicBool::new(false));
+        let (alive, open) = mpsc::channel();
         let spawned = thread::Builder::new().name("wire-read".into()).spawn({
             let (feed, closed) = (self.feed.clone(), Arc::clone(&closed));
             move || {
@@ -165,13 +168,16 @@ impl<M: Send + 'static> Intake<M> {
                     let is_last = matches!(what, What::Failed(_));
                     let sent = feed.send(Arrival::Port { source, at: Instant::now(), what });
                     if is_last || sent.is_err() {
-                        return;
+                        break;
                     }
                 }
+                // It owns the port.
+                drop(poll);
+                drop(alive);
             }
         });
         match spawned {
-            Ok(_) => Ok(Listening { source, closed }),
+            Ok(_) => Ok(Listening { source, closed, open }),
             Err(reason) => Err(WireError::Io { name: "a thread for a port".into(), reason }),
         }
     }
@@ -187,6 +193,9 @@ impl Listening {
 impl Drop for Listening {
     fn drop(&mut self) {
         self.closed.store(true, Ordering::Relaxed);
+        // So that the port can be opened again at once. The thread is not joined: it may wait for room in
+        // a queue that nobody reads any more.
+        let _ = self.open.recv_timeout(2 * CHECK_INTERVAL);
     }
 }
 
@@ -208,6 +217,26 @@ mod tests {
             buffer[0] = 1;
             Ok(1)
         }
+    }
+
+    /// A port that counts as open until it is dropped.
+    struct Open(#[expect(dead_code, reason = "it is dropped with the port")] Arc<()>);
+
+    impl WireReader for Open {
+        fn read_within(&mut self, _: &mut [u8], wait: Duration) -> Result<usize, WireError> {
+            thread::sleep(wait);
+            Ok(0)
+        }
+    }
+
+    #[test]
+    fn a_port_is_closed_once_nobody_listens() {
+        let mut intake = Intake::<()>::default();
+        let port = Arc::new(());
+        let listening = intake.wire(Box::new(Open(Arc::clone(&port)))).unwrap();
+        assert_eq!(Arc::strong_count(&port), 2);
+        drop(listening);
+        assert_eq!(Arc::strong_count(&port), 1);
     }
 
     #[test]
