@@ -88,6 +88,10 @@ enum Command {
     /// Score one ROS map against another
     Compare(CompareOptions),
     /// Check another implementation of the protocol, robot or server, against SPEC.md
+    ///
+    /// Takes some seven minutes. To a robot the runner is a server with cells of 50 mm, which sends fixes near x = y = 1 m:
+    /// there the robot should draw within seconds, and its map should change every few seconds; otherwise checks of
+    /// tiles are skipped.
     Conformance(ConformanceOptions),
     /// Put captured bytes of a link into words, frame by frame
     Decode(DecodeOptions),

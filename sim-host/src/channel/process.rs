@@ -3,13 +3,15 @@
 use std::{
     io::{self, Read, Write},
     process::{Child, ChildStdin, Command, Stdio},
-    sync::{Arc, Mutex, mpsc},
+    sync::{Arc, Mutex, PoisonError, mpsc},
     thread,
-    time::Duration,
+    time::{self, Duration},
 };
 
 use super::wire::{Wire, WireError, WireReader, WireWriter};
 
+/// How long a process whose output has closed may take to exit, before it counts as running.
+const EXIT_WAIT: Duration = Duration::from_millis(200);
 /// Bytes read from the process at once.
 const CHUNK: usize = 4_096;
 
@@ -27,6 +29,22 @@ impl Drop for Process {
             let _ = child.kill();
             let _ = child.wait();
         }
+    }
+}
+
+impl Process {
+    /// How the process has ended, now that it has closed its output or no longer takes input.
+    fn ended(&self) -> WireError {
+        let began = time::Instant::now();
+        let mut child = self.child.lock().unwrap_or_else(PoisonError::into_inner);
+        let how = loop {
+            match child.try_wait() {
+                Ok(Some(status)) => break format!("the command has ended ({status})"),
+                Ok(None) if began.elapsed() < EXIT_WAIT => thread::sleep(Duration::from_millis(5)),
+                _ => break "the command has closed its output, and runs on".to_owned(),
+            }
+        };
+        WireError::Ended { name: self.name.clone(), how }
     }
 }
 
@@ -86,7 +104,7 @@ impl WireReader for Output {
                 Ok(chunk) => self.rest = chunk,
                 Err(mpsc::RecvTimeoutError::Timeout) => return Ok(0),
                 Err(mpsc::RecvTimeoutError::Disconnected) => {
-                    return Err(WireError::HungUp { name: self.process.name.clone() });
+                    return Err(self.process.ended());
                 }
             }
         }
@@ -100,7 +118,7 @@ impl WireReader for Output {
 impl WireWriter for Input {
     fn write(&mut self, bytes: &[u8]) -> Result<(), WireError> {
         let written = self.stdin.write_all(bytes).and_then(|()| self.stdin.flush());
-        written.map_err(|_| WireError::HungUp { name: self.process.name.clone() })
+        written.map_err(|_| self.process.ended())
     }
 }
 
@@ -121,6 +139,6 @@ mod tests {
             }
         };
         assert_eq!(arrived, [1, 0, 255]);
-        assert!(matches!(end, WireError::HungUp { .. }), "{end}");
+        assert_eq!(end.to_string(), "head -c 3: the command has ended (exit status: 0)");
     }
 }

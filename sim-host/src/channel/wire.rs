@@ -19,6 +19,14 @@ pub enum WireError {
         /// The port.
         name: String,
     },
+    /// The process at the other end has closed its output.
+    #[error("{name}: {how}")]
+    Ended {
+        /// The command.
+        name: String,
+        /// How it ended.
+        how: String,
+    },
     /// The peer accepts no data and the queue is full; these bytes were not queued.
     #[error("{name}: the peer accepts no data")]
     Stalled {

@@ -124,7 +124,7 @@ impl Describer {
             Unreadable::Header => "SEAL GOOD, but no complete header of a known kind".into(),
             Unreadable::Seal if contents.len() < MIN_CONTENTS => "too short for a frame".into(),
             Unreadable::Seal if self.sessions.is_empty() => {
-                "SEAL BAD, or of an unknown session (name it with --session)".into()
+                "SEAL BAD, or of an unknown session or the other direction".into()
             }
             Unreadable::Seal => "SEAL BAD: damaged, or of another session or direction".into(),
         };
