@@ -1,7 +1,7 @@
 //! The robot's end of the link: the handshake that opens a session, and the session's frames.
 
 use ubimap_protocol::{
-    frame::{Attempt, DEFAULT_FRAME, MIN_VERSION, SessionId, SessionKey, VERSION},
+    frame::{Attempt, DEFAULT_FRAME, MIN_VERSION, SealSlot, SessionId, SessionKey, VERSION},
     link::{
         ClockSync, Counters, Endpoint, Knocking, Opened, Received, SealedHandshake, Verdict,
         write_hello,
@@ -24,7 +24,7 @@ const WINDOW: usize = 3;
 /// transmit buffers, the handshake and the clock. At most 4 KiB on a 32-bit machine.
 pub const LINK_STATE: usize = size_of::<Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>>()
     + size_of::<Knocking>()
-    + size_of::<Option<Sealing>>()
+    + size_of::<SealSlot<Sealing>>()
     + size_of::<ClockSync>();
 
 #[cfg(target_pointer_width = "32")]
@@ -36,7 +36,7 @@ pub(super) struct Link {
     endpoint: Endpoint<ToServer, Token, WINDOW, DEFAULT_FRAME>,
     knocking: Knocking,
     /// `None` on an open link.
-    sealing: Option<Sealing>,
+    sealing: SealSlot<Sealing>,
     server_epoch: Option<u32>,
     /// When the last frame of a session arrived.
     heard: Instant,
@@ -63,7 +63,11 @@ impl Link {
                 Some(seal) => Endpoint::sealed(seal.key.support()),
             },
             knocking: Knocking::new(boot_nonce),
-            sealing: seal.map(|seal| Sealing { seal, attempt: None, has_begun: false }),
+            sealing: SealSlot::new(seal.map(|seal| Sealing {
+                seal,
+                attempt: None,
+                has_begun: false,
+            })),
             server_epoch: None,
             heard: Instant(0),
             refusal: None,
@@ -124,7 +128,7 @@ impl Link {
             Received::Bad(_) => {}
             Received::Stray(..) => self.deaf(now),
             Received::Sealed(sealed) => {
-                let sealing = self.sealing.as_ref();
+                let sealing = self.sealing.get();
                 let knock = sealing.map(|sealing| sealing.open(&sealed, is_connected));
                 let verdict = knock.map(|knock| self.sealed_knock(mapper, knock, now));
                 self.endpoint.judge(verdict.unwrap_or(Verdict::Refused));
@@ -230,7 +234,7 @@ impl Link {
     fn knock_again(&mut self, now: Instant) {
         self.endpoint.end();
         self.knocking.restart(now);
-        if let Some(sealing) = &mut self.sealing {
+        if let Some(sealing) = self.sealing.get_mut() {
             sealing.has_begun = false;
         }
     }
@@ -269,7 +273,7 @@ impl Link {
             resolution: mapper.settings.resolution,
             fused_tiles: mapper.fused.capacity().min(usize::from(u16::MAX)) as u16,
         };
-        let len = match &mut self.sealing {
+        let len = match self.sealing.get_mut() {
             None => self.endpoint.handshake(&hello, out)?,
             Some(sealing) => {
                 let attempt = sealing.attempt(now);

@@ -18,8 +18,8 @@ mod seal;
 pub use header::{FrameKind, HEADER_LEN, Header, MIN_VERSION, VERSION, is_sealed};
 pub use seal::{
     ANSWER_CLEAR_LEN, Attempt, HELLO_CLEAR_LEN, KEY_LEN, Key, MAX_SEALED_HANDSHAKE, SEAL_LEN,
-    SEALED_LEN, SESSION_CLEAR_LEN, SealSupport, SessionKey, Stray, TAG_LEN, echo_of, open,
-    open_answer, open_hello, open_session, seal, seal_answer, seal_hello, seal_session,
+    SEALED_LEN, SESSION_CLEAR_LEN, SealSlot, SealSupport, SessionKey, Stray, TAG_LEN, echo_of,
+    open, open_answer, open_hello, open_session, seal, seal_answer, seal_hello, seal_session,
 };
 
 pub use crate::{

@@ -11,7 +11,7 @@ use super::{
 use crate::{
     frame::{
         DEFAULT_FRAME, FrameKind, HEADER_LEN, Header, MIN_VERSION, SEAL_LEN, SEQUENCE_MODULUS,
-        SealSupport, SessionKey, Stray, VERSION, cobs, seal,
+        SealSlot, SealSupport, SessionKey, Stray, VERSION, cobs, seal,
     },
     message::{Ack, Body, Message, Messages, Traffic, Writer},
     time::Instant,
@@ -135,7 +135,7 @@ impl<D: Traffic, T: Copy, const WINDOW: usize, const FRAME: usize> Endpoint<D, T
 
     /// Creates an end of a sealed link, without a session.
     pub fn sealed(support: SealSupport) -> Self {
-        Self::with(Security::Sealed(support, None))
+        Self::with(Security::Sealed(support, SealSlot::new(None)))
     }
 
     fn with(security: Security) -> Self {

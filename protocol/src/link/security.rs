@@ -4,9 +4,9 @@
 use super::{fault::FrameFault, replay_window::ReplayWindow, sealed_handshake::SealedHandshake};
 use crate::{
     frame::{
-        FrameKind, Header, MAX_FRAME, SESSION_CLEAR_LEN, SealSupport, SessionKey, Stray, TAG_LEN,
-        cobs, echo_of, is_sealed, open, open_session, payload_capacity, seal, seal_session,
-        sealed_payload_capacity,
+        FrameKind, Header, MAX_FRAME, SESSION_CLEAR_LEN, SealSlot, SealSupport, SessionKey, Stray,
+        TAG_LEN, cobs, echo_of, is_sealed, open, open_session, payload_capacity, seal,
+        seal_session, sealed_payload_capacity,
     },
     message::{Direction, Traffic},
     units::{RobotId, SessionId},
@@ -21,7 +21,7 @@ pub(super) enum Security {
     /// Frames have a checksum.
     Open,
     /// Frames are sealed; all others are refused.
-    Sealed(SealSupport, Option<SealedSession>),
+    Sealed(SealSupport, SealSlot<SealedSession>),
 }
 
 /// The two directions of a sealed session.
@@ -58,23 +58,27 @@ impl Security {
     /// Begins a session, with keys if it is sealed.
     pub(super) fn begin(&mut self, keys: Option<(RobotId, SessionKey)>) {
         if let Self::Sealed(_, session) = self {
-            *session = keys.map(|(robot, key)| SealedSession::new(robot, key));
+            *session = SealSlot::new(keys.map(|(robot, key)| SealedSession::new(robot, key)));
         }
     }
 
     /// Whether no frame can be written in this session any more.
     pub(super) fn is_spent(&self) -> bool {
-        matches!(self, Self::Sealed(_, Some(session)) if session.written == u32::MAX)
+        self.sealed().is_some_and(|session| session.written == u32::MAX)
     }
 
     /// Whether one of the frames written last had this echo.
     pub(super) fn is_echo(&self, echo: u64) -> bool {
+        self.sealed().is_some_and(|session| {
+            let newest = session.written.min(ECHOES as u32) as usize;
+            session.echoes.iter().take(newest).any(|&sent| sent == echo)
+        })
+    }
+
+    fn sealed(&self) -> Option<&SealedSession> {
         match self {
-            Self::Sealed(_, Some(session)) => {
-                let newest = session.written.min(ECHOES as u32) as usize;
-                session.echoes.iter().take(newest).any(|&sent| sent == echo)
-            }
-            _ => false,
+            Self::Open => None,
+            Self::Sealed(_, session) => session.get(),
         }
     }
 
@@ -90,7 +94,7 @@ impl Security {
         match self {
             Self::Open => cobs::encode([contents, &seal(session, direction, contents)], out),
             Self::Sealed(_, sealed) => {
-                sealed.as_mut()?.seal::<FRAME>(session, direction, contents, out)
+                sealed.get_mut()?.seal::<FRAME>(session, direction, contents, out)
             }
         }
     }
@@ -103,7 +107,7 @@ impl Security {
     ) -> Result<Opened<'f>, FrameFault> {
         match self {
             Self::Open => open_plain::<D>(session, frame),
-            Self::Sealed(_, sealed) => open_sealed::<D>(sealed, session, frame),
+            Self::Sealed(_, sealed) => open_sealed::<D>(sealed.get_mut(), session, frame),
         }
     }
 }
@@ -117,8 +121,8 @@ pub fn is_of_session<D: Traffic>(
     let mut copy = [0; MAX_FRAME];
     let Some(copy) = copy.get_mut(..frame.len()) else { return false };
     copy.copy_from_slice(frame);
-    let mut ours = Some(SealedSession::new(robot, key));
-    matches!(open_sealed::<D>(&mut ours, session, copy), Ok(Opened::Session(..)))
+    let mut ours = SealedSession::new(robot, key);
+    matches!(open_sealed::<D>(Some(&mut ours), session, copy), Ok(Opened::Session(..)))
 }
 
 fn open_plain<D: Traffic>(session: SessionId, frame: &[u8]) -> Result<Opened<'_>, FrameFault> {
@@ -140,7 +144,7 @@ fn open_plain<D: Traffic>(session: SessionId, frame: &[u8]) -> Result<Opened<'_>
 }
 
 fn open_sealed<'f, D: Traffic>(
-    sealed: &mut Option<SealedSession>,
+    sealed: Option<&mut SealedSession>,
     session: SessionId,
     frame: &'f mut [u8],
 ) -> Result<Opened<'f>, FrameFault> {
@@ -159,7 +163,7 @@ fn open_sealed<'f, D: Traffic>(
     let (text, tag) = rest.split_last_chunk_mut::<TAG_LEN>().ok_or(FrameFault::Shape)?;
     let [_, _, robot @ .., low, high] = *clear;
     let stray = Stray { robot: RobotId(u16::from_le_bytes(robot)), echo: echo_of(tag) };
-    let ours = sealed.as_mut().filter(|ours| ours.robot == stray.robot);
+    let ours = sealed.filter(|ours| ours.robot == stray.robot);
     let ours = ours.ok_or(FrameFault::Forged(stray))?;
     let counter = ours.window.whole(u16::from_le_bytes([low, high]));
     if !ours.window.is_new(counter) {
