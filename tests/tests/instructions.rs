@@ -1,7 +1,11 @@
 //! Instruction counts from images in the emulator: those of `cargo instructions`, and the coder's
 //! over the tile updates of a recorded log.
 
-use std::{cell::RefCell, rc::Rc};
+use std::{
+    cell::RefCell,
+    rc::Rc,
+    sync::{Mutex, PoisonError},
+};
 
 use clap::Parser;
 use ubimap_agent::sense::SensorModel;
@@ -45,6 +49,10 @@ const BOUNDS: [(&str, &str, u64); 20] = [
 const RECORDED: [(&str, u64); 3] =
     [("rgbd_redwood", 25_000), ("rgbd_frames/icl_nuim", 25_000), ("rgbd_frames/handheld", 33_700)];
 
+/// The bench with seals is built where the one without is, so only one of them may be built and run at a
+/// time.
+static BENCH: Mutex<()> = Mutex::new(());
+
 /// Only every fourth update is measured, because transferring an update to the emulator takes
 /// longer than coding it.
 const SAMPLE: usize = 4;
@@ -61,6 +69,7 @@ struct CommandLine {
 #[test]
 #[ignore = "runs an image in the emulator: cargo thorough"]
 fn no_stage_takes_more_than_its_bound() {
+    let _alone = BENCH.lock().unwrap_or_else(PoisonError::into_inner);
     match image("bench", Core::M4).and_then(|image| count(&image, Vec::new())) {
         Ok(table) => assert_eq!(bounded(&table), 29, "{table}"),
         Err(error) => leave_out("the stages' instruction counts", &error),
@@ -70,6 +79,7 @@ fn no_stage_takes_more_than_its_bound() {
 #[test]
 #[ignore = "runs an image in the emulator: cargo thorough"]
 fn sealing_and_opening_a_frame_take_no_more_than_their_bound() {
+    let _alone = BENCH.lock().unwrap_or_else(PoisonError::into_inner);
     let table = match sealed_image("bench").and_then(|image| count(&image, Vec::new())) {
         Ok(table) => table,
         Err(error) => return leave_out("the instruction counts of sealed frames", &error),
