@@ -62,7 +62,7 @@ fn best(ties: &[Tie], samples: &[Vec<usize>], gate: f64) -> Option<Hypothesis> {
 }
 
 /// Number of triples after which one without wrong ties was missed with a probability of [`MISSED`]
-/// (Fischler and Bolles 1981), if so many of the ties are right.
+/// (Fischler and Bolles 1981), if this share of the ties is right.
 fn enough(right: usize, all: usize) -> usize {
     let share = right as f64 / all as f64;
     let good = share * share * share;

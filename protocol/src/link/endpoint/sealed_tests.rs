@@ -246,7 +246,7 @@ fn open_and_sealed_ends_refuse_each_other() {
     let mut server = end::<ToRobot>();
     assert!(arrive(&mut server, &send(&mut open, 1, None), 0).0.is_empty());
     assert_eq!((server.counters().bad, server.counters().refused), (1, 0));
-    // A handshake frame of an open robot is told from noise.
+    // An unsealed Hello counts as refused, noise as bad.
     let mut out = [0u8; 64];
     let len = open.handshake(&numbered(1), &mut out).unwrap();
     assert!(arrive(&mut server, &out[..len], 0).0.is_empty());
