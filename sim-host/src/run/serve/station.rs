@@ -1,10 +1,10 @@
 //! A deployment with its links and cameras, driven by the wall clock.
 
-use std::{sync::Arc, time};
+use std::{collections::BTreeSet, sync::Arc, time};
 
 use log::Level;
 use ubimap_protocol::{
-    frame::{Key, MAX_FRAME},
+    frame::MAX_FRAME,
     message::Stop,
     time::{Duration, Instant},
     units::{Millimetres, RobotId},
@@ -15,16 +15,20 @@ use super::{
     bench_camera::BenchCamera,
     cameras::Cameras,
     links::{Door, Links},
+    live_keys::{KeyChange, LiveKeys},
     message::{Message, Perceived},
     perceiving::{self, Told},
-    results::{self, Delays},
+    results::{self, Delays, Snapshot},
+    robots,
+    standing::Standings,
 };
 use crate::{
     channel::intake::{Arrival, Feed},
     deployment::{Config, Deployment, Event, Life, Policy},
+    grid::OccupancyGrid,
     perception::{Observer, robots::RegistryError},
     report::ServeReport,
-    run::{Outcome, RunError, control::Request, deployment_file::DeployedCamera, keeper::Keeper},
+    run::{RunError, control::Request, deployment_file::DeployedCamera, figures, keeper::Keeper},
     server::Command,
 };
 
@@ -44,15 +48,20 @@ pub struct Station {
     deployment: Deployment,
     links: Links,
     keeper: Option<Keeper>,
+    /// `None` if the ports are open.
+    keys: Option<LiveKeys>,
     eyes: Eyes,
     started: time::Instant,
     buffer: Vec<u8>,
     /// The number of the last stop command.
     stops: u32,
+    /// The robots that a user has stopped.
+    stopped: BTreeSet<RobotId>,
+    registered: Vec<RobotId>,
 }
 
 /// Links and sockets, and the robots' keys, if they are sealed.
-pub(super) type Connections = ((Vec<Attached>, Vec<Door>), Option<Vec<(RobotId, Key)>>);
+pub(super) type Connections = ((Vec<Attached>, Vec<Door>), Option<LiveKeys>);
 
 /// Who sees the robots.
 enum Eyes {
@@ -65,6 +74,8 @@ enum Eyes {
 struct Watch {
     cameras: Arc<Cameras>,
     deployed: Vec<DeployedCamera>,
+    standings: Standings,
+    plan: Option<Arc<OccupancyGrid>>,
     told: Told,
     next_tell: Instant,
     delays: Delays,
@@ -80,17 +91,17 @@ impl Station {
     pub fn new(
         resolution: Millimetres,
         life: Life,
-        (wires, doors): (Vec<Attached>, Vec<Door>),
-        keys: Option<Vec<(RobotId, Key)>>,
+        links: (Vec<Attached>, Vec<Door>),
+        keys: Option<LiveKeys>,
         keeper: Option<Keeper>,
     ) -> Result<Self, RunError> {
         let config = Config::new(resolution);
         let eyes = Eyes::Bench(BenchCamera::default());
-        Self::with(config, life, ((wires, doors), keys), keeper, (eyes, time::Instant::now()))
+        Self::with(config, life, (links, keys), keeper, (eyes, time::Instant::now()))
     }
 
-    /// Starts a deployment with cameras. Those of `config` are not used: perception runs in a thread.
-    /// With keys all ports are keyed.
+    /// Starts a deployment with cameras, and a floor plan to compare the map with. The cameras of `config` are
+    /// not used: perception runs in a thread. With keys all ports are keyed.
     ///
     /// # Errors
     /// [`RunError::Port`] if a socket can't be opened or a thread not started; [`RunError::Registry`].
@@ -99,7 +110,7 @@ impl Station {
         life: Life,
         links: Connections,
         keeper: Option<Keeper>,
-        deployed: Vec<DeployedCamera>,
+        (deployed, plan): (Vec<DeployedCamera>, Option<OccupancyGrid>),
     ) -> Result<Self, RunError> {
         let started = time::Instant::now();
         let observer = observer(&config, &deployed);
@@ -110,6 +121,8 @@ impl Station {
         let told = Told::default();
         let watch = Watch {
             cameras: Arc::clone(&cameras),
+            standings: Standings::new(&deployed),
+            plan: plan.map(Arc::new),
             deployed,
             told: told.clone(),
             next_tell: Instant(0),
@@ -127,18 +140,31 @@ impl Station {
         keeper: Option<Keeper>,
         (eyes, started): (Eyes, time::Instant),
     ) -> Result<Self, RunError> {
+        let registered = config.registry.footprints().map(|(robot, _)| robot).collect();
         let mut deployment = Deployment::new(config, life)?;
         let level = match eyes {
             Eyes::Bench(_) => Level::Info,
             Eyes::Cameras(_) => Level::Debug,
         };
         let policy = if keys.is_some() { Policy::Keyed } else { Policy::Open };
-        for (robot, key) in keys.into_iter().flatten() {
+        for (robot, key) in keys.iter().flat_map(LiveKeys::all) {
             deployment.set_key(robot, key);
         }
         let links = Links::open(wires, doors, policy, &mut deployment, level)?;
         let buffer = vec![0; 4 * MAX_FRAME];
-        Ok(Self { deployment, links, keeper, eyes, started, buffer, stops: 0 })
+        let stopped = BTreeSet::new();
+        Ok(Self {
+            deployment,
+            links,
+            keeper,
+            keys,
+            eyes,
+            started,
+            buffer,
+            stops: 0,
+            stopped,
+            registered,
+        })
     }
 
     /// The deployment.
@@ -188,9 +214,26 @@ impl Station {
             wait = time::Duration::ZERO;
         }
         let now = self.now();
+        self.follow_keys(now);
         self.links.follow_hang_ups(&mut self.deployment, now);
         self.deployment.timeout(now);
         self.drain();
+    }
+
+    /// Takes over keys that were made, replaced or retired.
+    fn follow_keys(&mut self, now: Instant) {
+        for change in self.keys.iter_mut().flat_map(|keys| keys.poll(now)) {
+            match change {
+                KeyChange::Given(robot, key) => {
+                    self.deployment.set_key(robot, key);
+                    log::info!("robot {} has a new key", robot.0);
+                }
+                KeyChange::Retired(robot) => {
+                    self.deployment.retire_key(robot);
+                    log::info!("robot {} has no key any more: it is shut out", robot.0);
+                }
+            }
+        }
     }
 
     /// Lets the bench's camera look, or tells perception where robots say that they are.
@@ -222,6 +265,9 @@ impl Station {
                 let camera = observation.camera;
                 self.deployment.observe(observation);
                 for (captured, change, before) in moves {
+                    if let Eyes::Cameras(watch) = &mut self.eyes {
+                        watch.standings.follow(camera, &change);
+                    }
                     self.deployment.camera_moved(captured, camera, change, before.as_ref());
                 }
                 for (captured, event) in events {
@@ -249,7 +295,10 @@ impl Station {
     fn obey(&mut self, request: Request) -> Result<String, String> {
         let now = self.now();
         match request {
-            Request::Status => Ok(self.status()),
+            Request::Status => {
+                let snapshot = self.snapshot().map_err(|error| error.to_string())?;
+                Ok(snapshot.report.to_string())
+            }
             Request::Go(robot, place) => {
                 self.deployment.goal(robot, place, now).map_err(|error| error.to_string())?;
                 self.stop(robot, false)?;
@@ -282,18 +331,12 @@ impl Station {
     fn stop(&mut self, robot: RobotId, stop: bool) -> Result<(), String> {
         self.stops += 1;
         let command = Command::Stop(Stop { number: self.stops, stop });
-        self.deployment.command(robot, command).map_err(|error| error.to_string())
-    }
-
-    fn status(&self) -> String {
-        let moment = self.deployment.server_time(self.now());
-        let map = results::map(&self.deployment).ok();
-        let mut text = ServeReport { map, ..self.report() }.to_string();
-        for (robot, pose) in self.deployment.server().whereabouts(moment) {
-            let (x, y, heading) = (pose.x.metres(), pose.y.metres(), pose.heading.degrees());
-            text += &format!("robot {}: at {x:.2} m, {y:.2} m, {heading:.0} degrees\n", robot.0);
-        }
-        text
+        self.deployment.command(robot, command).map_err(|error| error.to_string())?;
+        match stop {
+            true => self.stopped.insert(robot),
+            false => self.stopped.remove(&robot),
+        };
+        Ok(())
     }
 
     /// Ends the service in order: tells all robots to stop, and writes what is not on disk yet.
@@ -346,37 +389,49 @@ impl Station {
         let summary = |(port, link): (_, &Attached)| {
             link.summary(self.deployment.port(port).ok().as_ref(), self.deployment.server())
         };
+        let now = self.now();
         let cameras = match &self.eyes {
             Eyes::Bench(_) => Vec::new(),
-            Eyes::Cameras(watch) => {
-                let states = watch.cameras.states();
-                results::cameras(&watch.deployed, &states, &self.deployment, self.now())
+            Eyes::Cameras(Watch { cameras, deployed, standings, .. }) => {
+                results::cameras(deployed, &cameras.states(), standings, &self.deployment, now)
             }
         };
+        let Self { deployment, links, registered, stopped, .. } = self;
         ServeReport {
             schema: ServeReport::SCHEMA,
             version: ServeReport::VERSION,
+            robots: robots::robots(deployment, links, registered, stopped, now),
             ports: self.links.iter().map(summary).collect(),
             cameras,
+            camera_moves: figures::camera_moves(&self.deployment),
             map: None,
+            plan: None,
             elapsed_s: self.started.elapsed().as_secs_f64(),
         }
     }
 
-    /// The results at this time, and one line about them.
+    /// The results at this time.
     ///
     /// # Errors
     /// [`RunError::Grid`].
-    pub(super) fn outcome(&self) -> Result<(Outcome<ServeReport>, String), RunError> {
-        let (deployed, delays) = match &self.eyes {
-            Eyes::Bench(_) => (&[][..], Delays::default()),
-            Eyes::Cameras(watch) => (&watch.deployed[..], watch.delays.clone()),
+    pub(super) fn snapshot(&self) -> Result<Snapshot, RunError> {
+        let (report, now) = (self.report(), self.now());
+        let Eyes::Cameras(watch) = &self.eyes else {
+            return Snapshot::new(report, &self.deployment, [], None, now);
         };
-        let outcome = results::outcome(self.report(), &self.deployment, deployed, self.now())?;
-        let cells = outcome.map.counts().known as f64;
-        let known_m2 = cells * self.deployment.resolution().metres().powi(2);
-        let line = results::summary(&outcome.report, &delays, known_m2);
-        Ok((outcome, line))
+        let is_out: Vec<bool> =
+            report.cameras.iter().map(|camera| camera.away || camera.knocked).collect();
+        let placed = watch.standings.placed().map(|(index, camera)| (camera, !is_out[index]));
+        Snapshot::new(report, &self.deployment, placed, watch.plan.clone(), now)
+    }
+
+    /// One line about the results.
+    pub(super) fn summary(&self, snapshot: &Snapshot) -> String {
+        let delays = match &self.eyes {
+            Eyes::Bench(_) => &Delays::default(),
+            Eyes::Cameras(watch) => &watch.delays,
+        };
+        results::summary(&snapshot.report, delays, snapshot.known_m2())
     }
 }
 
