@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::{SeenMap, link::LinkSummary};
+use super::{HexDigest, SeenMap, link::LinkSummary};
 
 /// Results of serving robots on serial ports and sockets, with or without cameras.
 ///
@@ -68,6 +68,8 @@ pub struct ServedCamera {
     pub observations: u64,
     /// Frames of which cells were reported.
     pub looks: u64,
+    /// Digest of what was seen in its frames. A recording has the digest that it has for `ubimap watch`.
+    pub digest: HexDigest,
     /// Whether no frame has arrived lately.
     pub away: bool,
     /// The system clock of the server minus the clock of the camera's sender, in seconds.

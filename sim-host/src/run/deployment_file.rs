@@ -47,6 +47,25 @@ pub struct DeploymentFile {
     pub registry: Registry,
     /// The cameras.
     pub cameras: Vec<DeployedCamera>,
+    /// How recorded frames are played.
+    pub playback: Playback,
+}
+
+/// How recorded frames are played.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Playback {
+    /// The speed of the server's clock as a multiple of real time.
+    pub speed: f64,
+    /// Whether perception looks at every frame, late if it can't keep up. Otherwise newer frames replace those
+    /// that wait, as those of live cameras do.
+    pub every_frame: bool,
+}
+
+impl Default for Playback {
+    fn default() -> Self {
+        Self { speed: 1.0, every_frame: false }
+    }
 }
 
 /// A camera of a deployment.
@@ -65,8 +84,8 @@ pub struct DeployedCamera {
 /// Where a camera's frames come from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CameraSource {
-    /// A folder of recorded frames, played at a multiple of real time.
-    Folder(PathBuf, f64),
+    /// A folder of recorded frames.
+    Folder(PathBuf),
     /// A Unix socket at which a sender connects.
     UnixStream(PathBuf),
     /// A TCP socket at which a sender connects.
@@ -90,6 +109,8 @@ struct Keys {
     cameras: Vec<toml::Table>,
     #[serde(default)]
     robots: Vec<RegisteredRobot>,
+    #[serde(default)]
+    playback: Playback,
 }
 
 fn usual_resolution_m() -> f64 {
@@ -106,23 +127,16 @@ struct CameraKeys {
     #[serde(default)]
     name: String,
     source: String,
-    #[serde(default = "real_time")]
-    speed: f64,
     depth: Option<IntrinsicsFile>,
     picture: Option<IntrinsicsFile>,
     #[serde(default)]
     picture_offset_m: [f64; 3],
 }
 
-fn real_time() -> f64 {
-    1.0
-}
-
 /// All keys of a camera; the last line are those that `place` writes for scenarios.
-const CAMERA_KEYS: [&str; 17] = [
+const CAMERA_KEYS: [&str; 16] = [
     "name",
     "source",
-    "speed",
     "depth",
     "picture",
     "picture_offset_m",
@@ -203,6 +217,7 @@ impl DeploymentFile {
             store: keys.store.map(|store| beside.join(store)),
             out: beside.join(keys.out),
             keys: keys.keys.map(|keys| beside.join(keys)),
+            playback: playback(keys.playback, &cameras, &ports)?,
             ports,
             registry,
             cameras,
@@ -234,9 +249,9 @@ fn camera(
         false => None,
     };
     let pose = poses.named(&name).and_then(MountedCamera::pose).or(own);
-    let source = source(&stated.source, beside, stated.speed)?;
+    let source = source(&stated.source, beside)?;
     let (calibration, recorded) = match &source {
-        CameraSource::Folder(folder, _) => recorded(folder)?,
+        CameraSource::Folder(folder) => recorded(folder)?,
         _ => {
             let offset = Isometry3::from_parts(
                 Translation3::from(stated.picture_offset_m),
@@ -256,12 +271,28 @@ fn camera(
     Ok(DeployedCamera { name, source, calibration, is_placed: pose.is_some() })
 }
 
-fn source(text: &str, beside: &Path, speed: f64) -> Result<CameraSource, String> {
-    if !(0.01..=1_000.0).contains(&speed) {
-        return Err(format!("speed: {speed} must be from 0.01 to 1000"));
+/// Checks that nothing but recorded frames follows a clock that is not of real time.
+fn playback(
+    playback: Playback,
+    cameras: &[DeployedCamera],
+    ports: &[Address],
+) -> Result<Playback, String> {
+    if !(0.01..=1_000.0).contains(&playback.speed) {
+        return Err(format!("playback: a speed of {} must be from 0.01 to 1000", playback.speed));
     }
+    let live = cameras.iter().find(|camera| !matches!(camera.source, CameraSource::Folder(_)));
+    let live = live.map(|camera| format!("camera {}", camera.name));
+    match live.or(ports.first().map(Address::to_string)) {
+        Some(live) if playback.speed != 1.0 => Err(format!(
+            "playback: {live} lives in real time; a speed other than 1 is for recorded frames alone"
+        )),
+        _ => Ok(playback),
+    }
+}
+
+fn source(text: &str, beside: &Path) -> Result<CameraSource, String> {
     match text.split_once(':') {
-        Some(("folder", folder)) => Ok(CameraSource::Folder(beside.join(folder), speed)),
+        Some(("folder", folder)) => Ok(CameraSource::Folder(beside.join(folder))),
         Some(("stream", at)) => Ok(match format!("tcp:{at}").parse() {
             Ok(Address::Tcp(address)) => CameraSource::TcpStream(address),
             _ => CameraSource::UnixStream(beside.join(at)),
@@ -356,6 +387,8 @@ mod tests {
             ("id = 2", "id = 1", "robot 1 is registered twice"),
             ("0.05", "0.0505", "resolution_m: must be whole millimetres"),
             ("fx = 337.2", "fx = 0.2", "depth: fx must be more than one pixel"),
+            ("store =", "playback.speed = 4\nstore =", "playback: camera north lives in real time"),
+            ("store =", "playback.sped = 4\nstore =", "unknown field `sped`"),
             ("stream:north.sock", "folder:/no-such", "camera north: /no-such: No such file"),
         ] {
             assert!(EXAMPLE.contains(from), "{from}");

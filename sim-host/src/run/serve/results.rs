@@ -83,6 +83,7 @@ pub(super) fn cameras(
             skipped: state.skipped,
             observations: observed.observations,
             looks: observed.looks,
+            digest: HexDigest(observed.digest.into()),
             away: state.last.is_none_or(|last| now.since(last) > AWAY),
             clock_offset_s: state.clock.and_then(|it| it.offset_micros()).map(seconds),
             clock_jumps: state.clock.map_or(0, |clock| clock.jumps()),
