@@ -251,9 +251,9 @@ impl Deployment {
     /// Processes an observation whose times are by the server's clock.
     fn take(&mut self, mut observation: Observation) {
         self.server.observe(&observation);
-        self.cameras.entry(observation.camera).or_default().add(&observation);
         let captured = observation.captured;
         observation.captured = self.since_began(captured);
+        self.cameras.entry(observation.camera).or_default().add(&observation);
         if let Some(sightings) = &mut self.sightings {
             sightings.extend(observation.robots.iter().map(|&it| (observation.captured, it)));
         }

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::{CameraMove, SeenMap, ServedRobot, link::LinkSummary};
+use super::{CameraMove, HexDigest, SeenMap, ServedRobot, link::LinkSummary};
 use crate::grid::Scores;
 
 /// Results of serving robots on serial ports and sockets, with or without cameras.
@@ -75,6 +75,8 @@ pub struct ServedCamera {
     pub observations: u64,
     /// Frames of which cells were reported.
     pub looks: u64,
+    /// Digest of what was seen in its frames. A recording has the digest that it has for `ubimap watch`.
+    pub digest: HexDigest,
     /// Whether no frame has arrived lately.
     pub away: bool,
     /// Whether it was knocked, and is out of use until its new pose is known.

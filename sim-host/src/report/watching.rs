@@ -47,6 +47,8 @@ pub struct CameraSummary {
     pub lost: u64,
     /// Frames whose depth image was evaluated and reported the state of cells.
     pub looks: u64,
+    /// Digest of what was seen in its frames: when, which robots and which cells.
+    pub digest: HexDigest,
     /// The floor that it sees, against z = 0 in its stated pose; `None` if there were too few depth images
     /// or it sees none.
     pub floor: Option<SeenFloor>,
@@ -169,7 +171,7 @@ impl Default for WatchReport {
 impl fmt::Display for WatchReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "{:<20} {:>7} {:>5} {:>6}  floor off by", "camera", "frames", "lost", "looks")?;
-        for CameraSummary { name, frames, lost, looks, floor } in &self.cameras {
+        for CameraSummary { name, frames, lost, looks, floor, .. } in &self.cameras {
             let floor = floor.map_or("not found".to_owned(), |floor| floor.to_string());
             writeln!(f, "{name:<20} {frames:>7} {lost:>5} {looks:>6}  {floor}")?;
         }

@@ -55,6 +55,25 @@ pub struct DeploymentFile {
     pub registry: Registry,
     /// The cameras.
     pub cameras: Vec<DeployedCamera>,
+    /// How recorded frames are played.
+    pub playback: Playback,
+}
+
+/// How recorded frames are played.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Playback {
+    /// The speed of the server's clock as a multiple of real time.
+    pub speed: f64,
+    /// Whether perception looks at every frame, late if it can't keep up. Otherwise newer frames replace those
+    /// that wait, as those of live cameras do.
+    pub every_frame: bool,
+}
+
+impl Default for Playback {
+    fn default() -> Self {
+        Self { speed: 1.0, every_frame: false }
+    }
 }
 
 /// A camera of a deployment.
@@ -73,8 +92,8 @@ pub struct DeployedCamera {
 /// Where a camera's frames come from.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CameraSource {
-    /// A folder of recorded frames, played at a multiple of real time.
-    Folder(PathBuf, f64),
+    /// A folder of recorded frames.
+    Folder(PathBuf),
     /// A Unix socket at which a sender connects.
     UnixStream(PathBuf),
     /// A TCP socket at which a sender connects.
@@ -102,6 +121,8 @@ struct Keys {
     cameras: Vec<toml::Table>,
     #[serde(default)]
     robots: Vec<RegisteredRobot>,
+    #[serde(default)]
+    playback: Playback,
 }
 
 /// The floor that robots may use, as the file states it.
@@ -134,7 +155,6 @@ struct CameraKeys {
     #[serde(default)]
     name: String,
     source: String,
-    speed: Option<f64>,
     depth: Option<IntrinsicsFile>,
     picture: Option<IntrinsicsFile>,
     #[serde(default)]
@@ -142,10 +162,9 @@ struct CameraKeys {
 }
 
 /// All keys of a camera; the last line are those that `place` writes for scenarios.
-const CAMERA_KEYS: [&str; 17] = [
+const CAMERA_KEYS: [&str; 16] = [
     "name",
     "source",
-    "speed",
     "depth",
     "picture",
     "picture_offset_m",
@@ -242,6 +261,7 @@ impl DeploymentFile {
             store: keys.store.map(|store| beside.join(store)),
             out: beside.join(keys.out),
             keys: keys.keys.map(|keys| beside.join(keys)),
+            playback: playback(keys.playback, &cameras, &ports)?,
             ports,
             registry,
             cameras,
@@ -273,9 +293,9 @@ fn camera(
         false => None,
     };
     let pose = poses.named(&name).and_then(MountedCamera::pose).or(own);
-    let source = source(&stated.source, beside, stated.speed)?;
+    let source = source(&stated.source, beside)?;
     let (calibration, recorded) = match &source {
-        CameraSource::Folder(folder, _) => recorded(folder)?,
+        CameraSource::Folder(folder) => recorded(folder)?,
         _ => {
             let offset = Isometry3::from_parts(
                 Translation3::from(stated.picture_offset_m),
@@ -295,14 +315,28 @@ fn camera(
     Ok(DeployedCamera { name, source, calibration, is_placed: pose.is_some() })
 }
 
-fn source(text: &str, beside: &Path, speed: Option<f64>) -> Result<CameraSource, String> {
-    let times = speed.unwrap_or(1.0);
-    if !(0.01..=1_000.0).contains(&times) {
-        return Err(format!("speed: {times} must be from 0.01 to 1000"));
+/// Checks that nothing but recorded frames follows a clock that is not of real time.
+fn playback(
+    playback: Playback,
+    cameras: &[DeployedCamera],
+    ports: &[Address],
+) -> Result<Playback, String> {
+    if !(0.01..=1_000.0).contains(&playback.speed) {
+        return Err(format!("playback: a speed of {} must be from 0.01 to 1000", playback.speed));
     }
+    let live = cameras.iter().find(|camera| !matches!(camera.source, CameraSource::Folder(_)));
+    let live = live.map(|camera| format!("camera {}", camera.name));
+    match live.or(ports.first().map(Address::to_string)) {
+        Some(live) if playback.speed != 1.0 => Err(format!(
+            "playback: {live} lives in real time; a speed other than 1 is for recorded frames alone"
+        )),
+        _ => Ok(playback),
+    }
+}
+
+fn source(text: &str, beside: &Path) -> Result<CameraSource, String> {
     match text.split_once(':') {
-        Some(("folder", folder)) => Ok(CameraSource::Folder(beside.join(folder), times)),
-        _ if speed.is_some() => Err("speed: is for recorded frames (folder:DIR); remove it".into()),
+        Some(("folder", folder)) => Ok(CameraSource::Folder(beside.join(folder))),
         Some(("stream", at)) => Ok(match format!("tcp:{at}").parse() {
             Ok(Address::Tcp(address)) => CameraSource::TcpStream(address),
             _ => CameraSource::UnixStream(beside.join(at)),

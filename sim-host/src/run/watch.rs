@@ -171,7 +171,7 @@ impl Seen<'_> {
         let cameras = frames.cameras().iter().zip(frames.names()).zip(frames.counts());
         let summaries = cameras.enumerate().map(|(camera, ((calibration, name), counts))| {
             let (frames, lost) = counts;
-            let CameraStatus { looks, .. } =
+            let CameraStatus { looks, digest, .. } =
                 status.cameras.get(&camera).copied().unwrap_or_default();
             if calibration.depth.is_some() && looks == 0 {
                 log::warn!(
@@ -180,7 +180,8 @@ impl Seen<'_> {
                 );
             }
             let floor = floors.get(camera).copied().flatten();
-            CameraSummary { name: name.clone(), frames, lost, looks, floor }
+            let digest = HexDigest(digest.into());
+            CameraSummary { name: name.clone(), frames, lost, looks, digest, floor }
         });
         summaries.collect()
     }

@@ -176,6 +176,8 @@ fn errors_name_the_place_and_the_remedy() {
         ("id = 2", "id = 1", "robot 1 is registered twice"),
         ("0.05", "0.0505", "resolution_m: must be whole millimetres"),
         ("fx = 337.2", "fx = 0.2", "depth: fx must be more than one pixel"),
+        ("store =", "playback.speed = 4\nstore =", "playback: camera north lives in real time"),
+        ("store =", "playback.sped = 4\nstore =", "unknown field `sped`"),
         ("stream:north.sock", "folder:/no-such", "camera north: /no-such: No such file"),
         ("# floor = [[0.2, 0.2],", "floor = [[0.2, nan],", "floor: must lie within 10 km"),
         (

@@ -1,30 +1,26 @@
 //! The cameras of a deployment, each in a thread of its own. Of each camera only the newest frame waits.
 
 use std::{
-    io::{self, Read},
-    net::{SocketAddr, TcpListener},
-    path::Path,
+    collections::VecDeque,
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     thread, time,
 };
 
 use ubimap_protocol::time::{Duration, Instant};
 
+use super::{
+    clock::Clock,
+    sources::{LiveFrame, LiveSource},
+};
 use crate::{
-    camera::{Frame, FrameSource, SenderClock, stream},
+    camera::{Frame, SenderClock},
     channel::wire::WireError,
-    recording::{Reading, RecordedFrames},
-    run::deployment_file::{CameraSource, DeployedCamera},
 };
 
-/// Time after which a silent sender's connection is closed.
-const SILENT: time::Duration = time::Duration::from_secs(2);
-/// Interval between looks for a connection.
-const ACCEPT_INTERVAL: time::Duration = time::Duration::from_millis(50);
 /// Time without a frame after which a camera counts as away.
 pub(super) const AWAY: Duration = Duration::from_secs(2);
 
-/// A frame and its arrival, by the server's wall clock since its start.
+/// A frame and its arrival, by the server's clock.
 #[derive(Debug)]
 pub(super) struct Arrived {
     pub(super) frame: Frame,
@@ -44,75 +40,100 @@ pub(super) struct CameraState {
     pub(super) clock: Option<SenderClock>,
 }
 
-#[derive(Debug, Default)]
-struct Shelf {
-    newest: Vec<Option<Arrived>>,
-    states: Vec<CameraState>,
-    /// The camera whose frame is taken first.
-    next: usize,
+/// What a frame replaces if it still waits: the picture of a camera whose two sensors send one after the other
+/// does not replace its depth image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Place {
+    camera: usize,
+    has_depth: bool,
 }
 
-/// The newest frame of each camera.
 #[derive(Debug, Default)]
+struct Shelf {
+    /// The newest frames, at most one for each place, in the order in which the places were filled: every
+    /// camera has its turn, and frames that are not replaced are taken in order of arrival.
+    waiting: VecDeque<(Place, Arrived)>,
+    states: Vec<CameraState>,
+}
+
+/// The newest frames of the cameras.
+#[derive(Debug)]
 pub(super) struct Cameras {
     shelf: Mutex<Shelf>,
     filled: Condvar,
+    taken: Condvar,
 }
 
 impl Cameras {
-    /// Starts the threads of all cameras. Times count from `began`.
+    /// The frames of this number of cameras.
+    pub(super) fn new(count: usize) -> Self {
+        let states = vec![CameraState::default(); count];
+        let shelf = Mutex::new(Shelf { states, ..Shelf::default() });
+        Self { shelf, filled: Condvar::new(), taken: Condvar::new() }
+    }
+
+    /// Starts a thread for each source.
     ///
     /// # Errors
-    /// [`WireError::Open`] if a socket can't be opened.
+    /// [`WireError::Io`] if none can be started.
     pub(super) fn start(
-        cameras: &[DeployedCamera],
-        began: time::Instant,
-    ) -> Result<Arc<Self>, WireError> {
-        let all = Arc::new(Self::default());
-        {
-            let mut shelf = all.shelf();
-            shelf.newest.resize_with(cameras.len(), || None);
-            shelf.states.resize_with(cameras.len(), CameraState::default);
-        }
-        for (index, camera) in cameras.iter().enumerate() {
-            let sink = Sink { all: Arc::clone(&all), index, began, name: camera.name.clone() };
-            match &camera.source {
-                CameraSource::Folder(folder, speed) => {
-                    let frames =
-                        RecordedFrames::open_with(std::slice::from_ref(folder), Reading::UNPLACED);
-                    let refuse = |error: crate::recording::FramesError| WireError::Open {
-                        name: camera.name.clone(),
-                        reason: error.to_string(),
-                    };
-                    let (frames, speed) = (frames.map_err(refuse)?, *speed);
-                    spawn(&camera.name, move || sink.play(frames, speed))?;
+        self: &Arc<Self>,
+        sources: Vec<Box<dyn LiveSource>>,
+        clock: Clock,
+    ) -> Result<(), WireError> {
+        for mut source in sources {
+            let all = Arc::clone(self);
+            let work = move || {
+                while let Some(frame) = source.next(&clock) {
+                    all.put(frame);
                 }
-                CameraSource::TcpStream(address) => listen_tcp(sink, *address)?,
-                CameraSource::UnixStream(path) => listen_unix(sink, path)?,
-            }
+            };
+            let spawned = thread::Builder::new().name("camera".into()).spawn(work);
+            spawned.map_err(|reason| WireError::Io { name: "cameras".into(), reason })?;
         }
-        Ok(all)
+        Ok(())
     }
 
     fn shelf(&self) -> MutexGuard<'_, Shelf> {
-        // Nothing is left half done by a panic: every change is one assignment.
+        // Nothing is left half done by a panic.
         self.shelf.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes the newest frame of a camera, the cameras in turn; waits up to `wait` for one.
+    fn put(&self, LiveFrame { frame, at, sender, waits }: LiveFrame) {
+        let place = Place { camera: frame.camera, has_depth: frame.depth.is_some() };
+        let fills = |(filled, _): &(Place, Arrived)| *filled == place;
+        let mut shelf = self.shelf();
+        if waits {
+            let is_filled = |shelf: &mut Shelf| shelf.waiting.iter().any(fills);
+            let waited = self.taken.wait_while(shelf, is_filled);
+            shelf = waited.unwrap_or_else(PoisonError::into_inner);
+        }
+        let Shelf { waiting, states } = &mut *shelf;
+        let Some(state) = states.get_mut(place.camera) else { return };
+        state.frames += 1;
+        state.last = Some(at);
+        state.clock = sender.or(state.clock);
+        let arrived = Arrived { frame, at };
+        match waiting.iter_mut().find(|waiting| fills(waiting)) {
+            Some((_, stale)) => {
+                *stale = arrived;
+                state.skipped += 1;
+            }
+            None => waiting.push_back((place, arrived)),
+        }
+        drop(shelf);
+        self.filled.notify_one();
+    }
+
+    /// Takes the frame whose place was filled first; waits up to `wait` for one.
     pub(super) fn take_within(&self, wait: time::Duration) -> Option<Arrived> {
-        let is_empty = |shelf: &mut Shelf| shelf.newest.iter().all(Option::is_none);
+        let is_empty = |shelf: &mut Shelf| shelf.waiting.is_empty();
         let waited = self.filled.wait_timeout_while(self.shelf(), wait, is_empty);
         let (mut shelf, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        let count = shelf.newest.len();
-        for turn in 0..count {
-            let index = (shelf.next + turn) % count;
-            if let Some(arrived) = shelf.newest[index].take() {
-                shelf.next = index + 1;
-                return Some(arrived);
-            }
-        }
-        None
+        let (_, arrived) = shelf.waiting.pop_front()?;
+        drop(shelf);
+        self.taken.notify_all();
+        Some(arrived)
     }
 
     /// The state of each camera.
@@ -121,136 +142,24 @@ impl Cameras {
     }
 }
 
-/// Where the thread of a camera puts its frames.
-struct Sink {
-    all: Arc<Cameras>,
-    index: usize,
-    began: time::Instant,
-    name: String,
-}
-
-impl Sink {
-    fn now(&self) -> Instant {
-        Instant(self.began.elapsed().as_micros() as u64)
-    }
-
-    fn put(&self, frame: Frame, at: Instant, clock: Option<SenderClock>) {
-        let mut shelf = self.all.shelf();
-        let replaced = shelf.newest[self.index].replace(Arrived { frame, at });
-        let state = &mut shelf.states[self.index];
-        state.frames += 1;
-        state.skipped += u64::from(replaced.is_some());
-        state.last = Some(at);
-        state.clock = clock.or(state.clock);
-        drop(shelf);
-        self.all.filled.notify_one();
-    }
-
-    /// Plays recorded frames at a multiple of real time.
-    fn play(self, mut frames: RecordedFrames, speed: f64) {
-        let began = self.now();
-        let scaled = |moment: Instant| {
-            began + Duration::from_micros((moment.micros() as f64 / speed).round() as u64)
-        };
-        while let Some(next) = frames.next_arrival() {
-            let wait = scaled(next).since(self.now());
-            thread::sleep(time::Duration::from_micros(wait.micros()));
-            if let Some(frame) = frames.poll(next) {
-                let captured = scaled(frame.captured);
-                self.put(Frame { camera: self.index, captured, ..frame }, self.now(), None);
-            }
-        }
-        match frames.take_fault() {
-            Some(fault) => log::error!("camera {}: {fault}", self.name),
-            None => log::info!("camera {}: its recording has ended", self.name),
-        }
-    }
-
-    /// Puts the frames of a connection, until it ends. The clock outlives connections.
-    fn read(&self, mut connection: impl Read, clock: &mut SenderClock) {
-        log::info!("camera {}: connected", self.name);
-        let error = loop {
-            let frame = match stream::read(&mut connection) {
-                Ok(frame) => frame,
-                Err(error) => break error,
-            };
-            let at = self.now();
-            if clock.heard(frame.sent, at) {
-                log::warn!("camera {}: its clock was set; its new time is followed", self.name);
-            }
-            // Nothing is captured after it was sent.
-            let captured = clock.ours(frame.captured).min(at);
-            let stream::StreamedFrame { depth, picture, .. } = frame;
-            self.put(Frame { camera: self.index, captured, depth, picture }, at, Some(*clock));
-        };
-        log::warn!("camera {}: {error}; waiting for it to come back", self.name);
-    }
-}
-
-fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), WireError> {
-    let spawned = thread::Builder::new().name(format!("camera {name}")).spawn(work);
-    spawned.map(drop).map_err(|reason| WireError::Io { name: name.to_owned(), reason })
-}
-
-/// Accepts one sender after the other.
-fn listen<C: Read>(sink: Sink, accept: impl Fn() -> io::Result<C>) {
-    let mut clock = SenderClock::default();
-    loop {
-        match accept() {
-            Ok(connection) => {
-                sink.read(io::BufReader::with_capacity(1 << 16, connection), &mut clock)
-            }
-            Err(_) => thread::sleep(ACCEPT_INTERVAL),
-        }
-    }
-}
-
-fn listen_tcp(sink: Sink, address: SocketAddr) -> Result<(), WireError> {
-    let name = sink.name.clone();
-    let refuse = |error: io::Error| WireError::Open {
-        name: format!("camera {name}: stream:{address}"),
-        reason: error.to_string(),
-    };
-    if !address.ip().is_loopback() {
-        log::warn!("camera {name}: stream:{address}: whoever reaches it can send frames");
-    }
-    let listener = TcpListener::bind(address).map_err(refuse)?;
-    spawn(&name, move || {
-        listen(sink, || {
-            let (connection, _) = listener.accept()?;
-            connection.set_read_timeout(Some(SILENT))?;
-            Ok(connection)
-        });
-    })
-}
-
-#[cfg(unix)]
-fn listen_unix(sink: Sink, path: &Path) -> Result<(), WireError> {
-    let name = sink.name.clone();
-    let listener = crate::channel::unix_socket::listen(path)?;
-    spawn(&name, move || {
-        listen(sink, || {
-            let (connection, _) = listener.accept()?;
-            connection.set_read_timeout(Some(SILENT))?;
-            Ok(connection)
-        });
-    })
-}
-
-#[cfg(not(unix))]
-fn listen_unix(_: Sink, path: &Path) -> Result<(), WireError> {
-    let reason = "this system has no Unix sockets; give stream:HOST:PORT".to_owned();
-    Err(WireError::Open { name: path.display().to_string(), reason })
-}
-
 #[cfg(test)]
 #[cfg(unix)]
 mod tests {
-    use std::{io::Write, os::unix::net::UnixStream};
+    use std::{
+        io::{Read, Write},
+        os::unix::net::UnixStream,
+    };
 
     use super::*;
     use crate::{
-        camera::{Calibration, DepthImage, DepthNoise, stream::StreamedFrame},
+        camera::{
+            Calibration, DepthImage,
+            stream::{self, StreamedFrame},
+        },
+        run::{
+            deployment_file::{CameraSource, DeployedCamera},
+            serve::sources,
+        },
         testing::Folder,
     };
 
@@ -271,14 +180,11 @@ mod tests {
         let camera = DeployedCamera {
             name: "north".into(),
             source: CameraSource::UnixStream(path.clone()),
-            calibration: Calibration {
-                depth: None,
-                depth_noise: DepthNoise::default(),
-                picture: None,
-            },
+            calibration: Calibration::default(),
             is_placed: false,
         };
-        let cameras = Cameras::start(&[camera], time::Instant::now()).unwrap();
+        let cameras = Arc::new(Cameras::new(1));
+        cameras.start(sources::open(&[camera], false).unwrap(), Clock::new(1.0)).unwrap();
         // The second sender's clock is a day ahead of the first one's.
         for (life, clock) in [(1, 0), (2, 86_400_000_000)] {
             let mut sender = UnixStream::connect(&path).unwrap();
@@ -302,5 +208,42 @@ mod tests {
         stranger.set_read_timeout(Some(WAIT)).unwrap();
         assert_eq!(stranger.read(&mut [0]).unwrap(), 0, "it was not hung up on");
         assert_eq!(cameras.states()[0].frames, 10);
+    }
+
+    fn frame(camera: usize, captured: u64, has_depth: bool, waits: bool) -> LiveFrame {
+        let depth = has_depth.then(|| DepthImage::new(1, 1));
+        let frame = Frame { camera, captured: Instant(captured), depth, picture: None };
+        LiveFrame { frame, at: Instant(captured), sender: None, waits }
+    }
+
+    fn taken(cameras: &Cameras) -> Vec<u64> {
+        let take = || cameras.take_within(time::Duration::ZERO);
+        std::iter::from_fn(take).map(|it| it.frame.captured.micros()).collect()
+    }
+
+    #[test]
+    fn frames_are_taken_in_order_and_a_picture_replaces_no_depth_image() {
+        let cameras = Cameras::new(2);
+        for (camera, captured, has_depth) in
+            [(1, 1, true), (0, 2, true), (1, 3, false), (1, 4, true), (1, 5, false)]
+        {
+            cameras.put(frame(camera, captured, has_depth, false));
+        }
+        assert_eq!(taken(&cameras), [4, 2, 5]);
+        let skipped: Vec<u64> = cameras.states().iter().map(|it| it.skipped).collect();
+        assert_eq!(skipped, [0, 2]);
+    }
+
+    #[test]
+    fn a_frame_that_waits_replaces_none() {
+        let cameras = Arc::new(Cameras::new(1));
+        cameras.put(frame(0, 1, true, true));
+        let other = Arc::clone(&cameras);
+        let putting = thread::spawn(move || other.put(frame(0, 2, true, true)));
+        thread::sleep(time::Duration::from_millis(20));
+        assert_eq!(taken(&cameras), [1]);
+        putting.join().unwrap();
+        assert_eq!(taken(&cameras), [2]);
+        assert_eq!(cameras.states()[0].skipped, 0);
     }
 }

@@ -3,7 +3,10 @@
 use std::sync::mpsc;
 
 use nalgebra::Isometry3;
-use ubimap_protocol::time::Instant;
+use ubimap_protocol::{
+    time::Instant,
+    units::{Pose, RobotId},
+};
 
 use crate::{
     camera::Observation,
@@ -16,6 +19,8 @@ use crate::{
 pub(super) enum Message {
     /// Nothing: perception checks whether the core is still there.
     Idle,
+    /// Perception asks where robots were at a time, and where the answer goes.
+    Whereabouts(Instant, mpsc::Sender<Vec<(RobotId, Pose)>>),
     /// Perception has looked at a frame.
     Perceived(Box<Perceived>),
     /// A request from a command, and where the answer goes.
@@ -27,9 +32,19 @@ pub(super) enum Message {
 pub(super) struct Perceived {
     pub(super) observation: Observation,
     pub(super) events: Vec<(Instant, SightingEvent)>,
-    /// Changes of the camera's pose: the capture time, the change, and its pose before.
-    pub(super) moves: Vec<(Instant, Change, Option<Isometry3<f64>>)>,
+    pub(super) moves: Vec<Move>,
     pub(super) fault: Option<FrameError>,
     /// When the frame arrived.
     pub(super) arrived: Instant,
+}
+
+/// A change of a camera's pose, which may be another camera than that of the frame that shows it.
+#[derive(Debug)]
+pub(super) struct Move {
+    pub(super) camera: usize,
+    /// When the frame was captured that shows it.
+    pub(super) captured: Instant,
+    pub(super) change: Change,
+    /// Its last known pose.
+    pub(super) before: Option<Isometry3<f64>>,
 }

@@ -5,18 +5,20 @@
 //! camera's rate.
 //!
 //! The core (`station`) is one thread. Others wait at each port (`links`), for each camera's frames
-//! (`cameras`) and for commands, and one looks at the newest frames (`perceiving`); they put what they have
+//! (`cameras`, from `sources`) and for commands, and one looks at the newest frames (`perceiving`); they put what they have
 //! into the core's queue (`message`).
 
 mod attached;
 mod bench_camera;
 mod cameras;
+mod clock;
 mod links;
 mod live_keys;
 mod message;
 mod perceiving;
 mod results;
 mod robots;
+mod sources;
 mod standing;
 mod station;
 
@@ -124,8 +126,14 @@ fn serve_file(path: &Path, options: &ServeOptions) -> Result<ServeReport, RunErr
     for camera in file.cameras.iter().filter(|camera| !camera.is_placed) {
         log::warn!("camera {} has no pose: it is shown and not used", camera.name);
     }
-    let mut station =
-        Station::live(config, life, (links, keys), keeper, (file.cameras, file.plan))?;
+    let mut station = Station::live(
+        config,
+        life,
+        (links, keys),
+        keeper,
+        (file.cameras, file.plan),
+        file.playback,
+    )?;
     if options.explore {
         station.explore(file.registry.robots.iter().map(|robot| RobotId(robot.id)));
     }

@@ -2,18 +2,13 @@
 //! at fewer frames when it can't keep up.
 
 use std::{
-    sync::{Arc, Mutex, PoisonError, mpsc},
+    sync::{Arc, mpsc},
     thread, time,
-};
-
-use ubimap_protocol::{
-    time::Instant,
-    units::{Pose, RobotId},
 };
 
 use super::{
     cameras::{Arrived, Cameras},
-    message::{Message, Perceived},
+    message::{Message, Move, Perceived},
 };
 use crate::{
     camera::{Frame, Observation},
@@ -25,22 +20,13 @@ use crate::{
 /// How long the thread waits for a frame before it checks whether the server is still there.
 const CHECK_INTERVAL: time::Duration = time::Duration::from_millis(200);
 
-/// The poses that robots report themselves, for perception.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Told(Arc<Mutex<Vec<(RobotId, Pose)>>>);
-
-impl Told {
-    pub(super) fn set(&self, poses: Vec<(RobotId, Pose)>) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = poses;
-    }
-
-    fn get(&self) -> Vec<(RobotId, Pose)> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-}
-
-/// Starts the thread, in which `observer` makes the observer: it can't be moved between threads. `numbers` are the observer's numbers of the cameras; `None` for one without a
-/// pose, which is not looked at. The thread ends with the feed's queue.
+/// Starts the thread, in which `observer` makes the observer, which can't be moved between threads. `numbers`
+/// are the observer's numbers of the cameras; `None` for one without a pose, which is not looked at. The
+/// thread ends with the feed's queue.
+///
+/// It works as [`Deployment::frame`](crate::deployment::Deployment::frame) does: before each frame it asks the
+/// core where the robots are, and the core has then processed all frames before. So the results depend on the
+/// frames alone, and not on the threads' pace.
 ///
 /// # Errors
 /// [`RunError::Registry`] of `observer`; [`RunError::Port`] if no thread can be started.
@@ -48,9 +34,7 @@ pub(super) fn start(
     cameras: Arc<Cameras>,
     observer: impl FnOnce() -> Result<Observer, RegistryError> + Send + 'static,
     numbers: Vec<Option<usize>>,
-    told: Told,
     feed: Feed<Message>,
-    began: time::Instant,
 ) -> Result<(), RunError> {
     let (made, is_made) = mpsc::channel();
     let work = move || {
@@ -65,9 +49,13 @@ pub(super) fn start(
         if made.send(Ok(())).is_err() {
             return;
         }
-        // The last known pose of each camera.
-        let pose = |number| observer.standing(number).and_then(|(_, it)| it.pose().copied());
-        let mut stood: Vec<_> = (0..numbers.len()).map(pose).collect();
+        // The cameras that are looked at, and the last known pose of each.
+        let used: Vec<usize> =
+            (0..numbers.len()).filter(|&camera| numbers[camera].is_some()).collect();
+        let pose = |observer: &Observer, number| {
+            observer.standing(number).and_then(|(_, it)| it.pose().copied())
+        };
+        let mut stood: Vec<_> = (0..used.len()).map(|number| pose(&observer, number)).collect();
         loop {
             let Some(Arrived { frame, at }) = cameras.take_within(CHECK_INTERVAL) else {
                 if feed.send(Message::Idle) {
@@ -77,14 +65,19 @@ pub(super) fn start(
             };
             let camera = frame.camera;
             let Some(number) = numbers.get(camera).copied().flatten() else { continue };
-            let now = Instant(began.elapsed().as_micros() as u64);
             let frame = Frame { camera: number, ..frame };
-            let (observation, fault) = observer.observe(&frame, now, told.get());
+            let (answer, answered) = mpsc::channel();
+            if !feed.send(Message::Whereabouts(frame.captured, answer)) {
+                return;
+            }
+            let Ok(told) = answered.recv() else { return };
+            let (observation, fault) = observer.observe(&frame, at, told);
             let observation = Observation { camera, ..observation };
             let mut moves = Vec::new();
             while let Some((captured, number, change)) = observer.poll_change() {
-                let now = observer.standing(number).and_then(|(_, it)| it.pose().copied());
-                moves.push((captured, change, std::mem::replace(&mut stood[number], now)));
+                let now = pose(&observer, number);
+                let before = std::mem::replace(&mut stood[number], now);
+                moves.push(Move { camera: used[number], captured, change, before });
             }
             let events = std::iter::from_fn(|| observer.poll_event()).collect();
             let perceived = Perceived { observation, events, moves, fault, arrived: at };

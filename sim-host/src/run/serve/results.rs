@@ -87,6 +87,7 @@ pub(super) fn cameras(
             looks: observed.looks,
             knocked: standings.is_knocked(index),
             disputed: standings.is_disputed(index),
+            digest: HexDigest(observed.digest.into()),
             away: state.last.is_none_or(|last| now.since(last) > AWAY),
             clock_offset_s: state.clock.and_then(|it| it.offset_micros()).map(seconds),
             clock_jumps: state.clock.map_or(0, |clock| clock.jumps()),

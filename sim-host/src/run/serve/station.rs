@@ -14,12 +14,13 @@ use super::{
     attached::Attached,
     bench_camera::BenchCamera,
     cameras::Cameras,
+    clock::Clock,
     links::{Door, Links},
     live_keys::{KeyChange, LiveKeys},
-    message::{Message, Perceived},
-    perceiving::{self, Told},
+    message::{Message, Move, Perceived},
+    perceiving,
     results::{self, Delays, Snapshot},
-    robots,
+    robots, sources,
     standing::Standings,
 };
 use crate::{
@@ -28,7 +29,13 @@ use crate::{
     grid::OccupancyGrid,
     perception::{Observer, robots::RegistryError},
     report::ServeReport,
-    run::{RunError, control::Request, deployment_file::DeployedCamera, figures, keeper::Keeper},
+    run::{
+        RunError,
+        control::Request,
+        deployment_file::{DeployedCamera, Playback},
+        figures,
+        keeper::Keeper,
+    },
     server::Command,
 };
 
@@ -40,8 +47,6 @@ const ARRIVALS: usize = 64;
 const SHORTEST_WAIT: Duration = Duration::from_millis(1);
 /// Time for the last messages to the robots: enough for one retransmission.
 const FAREWELL: Duration = Duration::from_millis(500);
-/// Interval at which perception is told the poses that robots report themselves.
-const TELL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// A deployment with its links and cameras, driven by the wall clock.
 pub struct Station {
@@ -51,7 +56,7 @@ pub struct Station {
     /// `None` if the ports are open.
     keys: Option<LiveKeys>,
     eyes: Eyes,
-    started: time::Instant,
+    clock: Clock,
     buffer: Vec<u8>,
     /// The number of the last stop command.
     stops: u32,
@@ -76,8 +81,6 @@ struct Watch {
     deployed: Vec<DeployedCamera>,
     standings: Standings,
     plan: Option<Arc<OccupancyGrid>>,
-    told: Told,
-    next_tell: Instant,
     delays: Delays,
 }
 
@@ -97,7 +100,7 @@ impl Station {
     ) -> Result<Self, RunError> {
         let config = Config::new(resolution);
         let eyes = Eyes::Bench(BenchCamera::default());
-        Self::with(config, life, (links, keys), keeper, (eyes, time::Instant::now()))
+        Self::with(config, life, (links, keys), keeper, (eyes, Clock::new(1.0)))
     }
 
     /// Starts a deployment with cameras, and a floor plan to compare the map with. The cameras of `config` are
@@ -111,25 +114,27 @@ impl Station {
         links: Connections,
         keeper: Option<Keeper>,
         (deployed, plan): (Vec<DeployedCamera>, Option<OccupancyGrid>),
+        playback: Playback,
     ) -> Result<Self, RunError> {
-        let started = time::Instant::now();
         let observer = observer(&config, &deployed);
-        let cameras = Cameras::start(&deployed, started)?;
+        let sources = sources::open(&deployed, playback.every_frame)?;
+        let cameras = Arc::new(Cameras::new(deployed.len()));
         let mut number = 0..;
         let numbers = deployed.iter().map(|it| it.is_placed.then(|| number.next()).flatten());
         let numbers = numbers.collect();
-        let told = Told::default();
         let watch = Watch {
             cameras: Arc::clone(&cameras),
             standings: Standings::new(&deployed),
             plan: plan.map(Arc::new),
             deployed,
-            told: told.clone(),
-            next_tell: Instant(0),
             delays: Delays::default(),
         };
-        let station = Self::with(config, life, links, keeper, (Eyes::Cameras(watch), started))?;
-        perceiving::start(cameras, observer, numbers, told, station.feed(), started)?;
+        let clock = Clock::new(playback.speed);
+        let mut station = Self::with(config, life, links, keeper, (Eyes::Cameras(watch), clock))?;
+        perceiving::start(Arc::clone(&cameras), observer, numbers, station.feed())?;
+        // From zero, so that recorded frames have the times that they have for `watch`.
+        station.clock = Clock::new(playback.speed);
+        cameras.start(sources, station.clock)?;
         Ok(station)
     }
 
@@ -138,7 +143,7 @@ impl Station {
         life: Life,
         ((wires, doors), keys): Connections,
         keeper: Option<Keeper>,
-        (eyes, started): (Eyes, time::Instant),
+        (eyes, clock): (Eyes, Clock),
     ) -> Result<Self, RunError> {
         let registered = config.registry.footprints().map(|(robot, _)| robot).collect();
         let mut deployment = Deployment::new(config, life)?;
@@ -159,7 +164,7 @@ impl Station {
             keeper,
             keys,
             eyes,
-            started,
+            clock,
             buffer,
             stops: 0,
             stopped,
@@ -179,11 +184,7 @@ impl Station {
 
     /// The time since the station started.
     pub fn now(&self) -> Instant {
-        self.since_start(time::Instant::now())
-    }
-
-    fn since_start(&self, at: time::Instant) -> Instant {
-        Instant(at.saturating_duration_since(self.started).as_micros() as u64)
+        self.clock.now()
     }
 
     /// Whether any wire or socket is open.
@@ -205,7 +206,7 @@ impl Station {
             let Some(arrival) = self.links.next_within(wait) else { break };
             match arrival {
                 Arrival::Port { source, at, what } => {
-                    let at = self.since_start(at);
+                    let at = self.clock.at(at);
                     self.links.take(source, what, &mut self.deployment, at);
                     self.drain();
                 }
@@ -236,58 +237,56 @@ impl Station {
         }
     }
 
-    /// Lets the bench's camera look, or tells perception where robots say that they are.
+    /// Lets the bench's camera look.
     fn look(&mut self) {
         let now = self.now();
-        match &mut self.eyes {
-            Eyes::Bench(camera) => {
-                let stands = self.links.iter().filter_map(|(port, link)| {
-                    Some((self.deployment.port(port).ok()?.robot?, link.stands()?))
-                });
-                if let Some(observation) = camera.poll(now, stands) {
-                    self.deployment.observe(observation);
-                }
-            }
-            Eyes::Cameras(watch) if watch.next_tell <= now => {
-                watch.next_tell = now + TELL_INTERVAL;
-                let moment = self.deployment.server_time(now);
-                watch.told.set(self.deployment.server().whereabouts(moment).collect());
-            }
-            Eyes::Cameras(_) => {}
+        let Eyes::Bench(camera) = &mut self.eyes else { return };
+        let stands = self.links.iter().filter_map(|(port, link)| {
+            Some((self.deployment.port(port).ok()?.robot?, link.stands()?))
+        });
+        if let Some(observation) = camera.poll(now, stands) {
+            self.deployment.observe(observation);
         }
     }
 
     fn hear(&mut self, message: Message) {
         match message {
             Message::Idle => {}
-            Message::Perceived(perceived) => {
-                let Perceived { observation, events, moves, fault, arrived } = *perceived;
-                let camera = observation.camera;
-                self.deployment.observe(observation);
-                for (captured, change, before) in moves {
-                    if let Eyes::Cameras(watch) = &mut self.eyes {
-                        watch.standings.follow(camera, &change);
-                    }
-                    self.deployment.camera_moved(captured, camera, change, before.as_ref());
-                }
-                for (captured, event) in events {
-                    self.deployment.sighting_event(captured, event);
-                }
-                if let Some(fault) = fault {
-                    self.deployment.frame_error(fault, arrived);
-                }
-                self.drain();
-                let delay = self.now().since(arrived);
-                if let Eyes::Cameras(watch) = &mut self.eyes {
-                    watch.delays.add(delay);
-                }
+            Message::Whereabouts(captured, answer) => {
+                let moment = self.deployment.server_time(captured);
+                // Perception may be gone.
+                let _ = answer.send(self.deployment.server().whereabouts(moment).collect());
             }
+            Message::Perceived(perceived) => self.perceived(*perceived),
             Message::Request(request, answer) => {
                 let answered = self.obey(request);
                 self.drain();
                 // Whoever has asked may be gone.
                 let _ = answer.send(answered);
             }
+        }
+    }
+
+    /// Takes what was seen in a frame, in the order of [`Deployment::frame`].
+    fn perceived(&mut self, perceived: Perceived) {
+        let Perceived { observation, events, moves, fault, arrived } = perceived;
+        if let Some(fault) = fault {
+            self.deployment.frame_error(fault, arrived);
+        }
+        for Move { camera, captured, change, before } in moves {
+            if let Eyes::Cameras(watch) = &mut self.eyes {
+                watch.standings.follow(camera, &change);
+            }
+            self.deployment.camera_moved(captured, camera, change, before.as_ref());
+        }
+        for (captured, event) in events {
+            self.deployment.sighting_event(captured, event);
+        }
+        self.deployment.observe(observation);
+        self.drain();
+        let delay = self.now().since(arrived);
+        if let Eyes::Cameras(watch) = &mut self.eyes {
+            watch.delays.add(delay);
         }
     }
 
@@ -359,7 +358,7 @@ impl Station {
         };
         let due = self.deployment.poll_timeout(now).into_iter().chain(bench).min();
         let until_due = due.map_or(LONGEST_WAIT, |due| due.since(now)).min(LONGEST_WAIT);
-        time::Duration::from_micros(until_due.max(SHORTEST_WAIT).micros())
+        self.clock.until(now + until_due.max(SHORTEST_WAIT))
     }
 
     /// Drains the outputs.
@@ -406,7 +405,7 @@ impl Station {
             camera_moves: figures::camera_moves(&self.deployment),
             map: None,
             plan: None,
-            elapsed_s: self.started.elapsed().as_secs_f64(),
+            elapsed_s: self.now().micros() as f64 / 1e6,
         }
     }
 

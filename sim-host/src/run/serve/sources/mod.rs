@@ -1,0 +1,61 @@
+//! Where live frames come from: a trait, and the sources that implement it.
+
+mod recording;
+mod stream;
+
+use ubimap_protocol::time::Instant;
+
+use super::clock::Clock;
+use crate::{
+    camera::{Frame, SenderClock},
+    channel::wire::WireError,
+    run::deployment_file::{CameraSource, DeployedCamera},
+};
+
+/// A source of frames in real time, read by a thread of its own.
+pub(super) trait LiveSource: Send {
+    /// Waits for the next frame. A source that fails says so and waits until it is back. `None` if there
+    /// will be no more frames.
+    fn next(&mut self, clock: &Clock) -> Option<LiveFrame>;
+}
+
+/// A frame of a live source.
+#[derive(Debug)]
+pub(super) struct LiveFrame {
+    /// The frame; its camera is the index in the deployment.
+    pub(super) frame: Frame,
+    /// When it arrived.
+    pub(super) at: Instant,
+    /// The clock of its sender, if that is another than the server's.
+    pub(super) sender: Option<SenderClock>,
+    /// Whether it waits until perception has taken the frame before, instead of replacing it.
+    pub(super) waits: bool,
+}
+
+/// Opens the sources of all cameras. The recorded folders are one source: their frames share a clock, and
+/// are played in the order in which they arrived, all of them if `every_frame`.
+///
+/// # Errors
+/// [`WireError::Open`] if one can't be opened.
+pub(super) fn open(
+    cameras: &[DeployedCamera],
+    every_frame: bool,
+) -> Result<Vec<Box<dyn LiveSource>>, WireError> {
+    let mut sources: Vec<Box<dyn LiveSource>> = Vec::new();
+    let mut folders = Vec::new();
+    for (index, DeployedCamera { name, source, .. }) in cameras.iter().enumerate() {
+        match source {
+            CameraSource::Folder(folder) => folders.push((index, folder.clone())),
+            CameraSource::TcpStream(address) => {
+                sources.push(Box::new(stream::tcp(index, name, *address)?));
+            }
+            CameraSource::UnixStream(path) => {
+                sources.push(Box::new(stream::unix(index, name, path)?));
+            }
+        }
+    }
+    if !folders.is_empty() {
+        sources.push(Box::new(recording::Player::open(folders, every_frame)?));
+    }
+    Ok(sources)
+}
