@@ -28,7 +28,7 @@ use crate::{
     deployment::{Config, Deployment, Event, Life, Policy},
     grid::OccupancyGrid,
     perception::{Observer, robots::RegistryError},
-    report::ServeReport,
+    report::{ServeReport, json_pretty},
     run::{
         RunError,
         control::Request,
@@ -294,9 +294,12 @@ impl Station {
     fn obey(&mut self, request: Request) -> Result<String, String> {
         let now = self.now();
         match request {
-            Request::Status => {
+            Request::Status | Request::Report => {
                 let snapshot = self.snapshot().map_err(|error| error.to_string())?;
-                Ok(snapshot.report.to_string())
+                Ok(match request {
+                    Request::Report => json_pretty(&snapshot.report),
+                    _ => snapshot.report.to_string(),
+                })
             }
             Request::Go(robot, place) => {
                 self.deployment.goal(robot, place, now).map_err(|error| error.to_string())?;
