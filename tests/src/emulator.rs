@@ -193,7 +193,14 @@ impl Emulator {
         sensor: &Path,
         wheels: &Path,
     ) -> Result<Self, EmulatorError> {
-        let [sensor, wheels] = [sensor, wheels].map(|device| device.display().to_string());
+        // The emulator takes names of devices, not links to them.
+        let device = |link: &Path| {
+            let device = fs::canonicalize(link);
+            device
+                .map(|device| device.display().to_string())
+                .map_err(|error| EmulatorError::Failed(format!("{}: {error}", link.display())))
+        };
+        let (sensor, wheels) = (device(sensor)?, device(wheels)?);
         let mut usarts = USARTS;
         (usarts[0], usarts[5]) = (&wheels, &sensor);
         Self::start_with(image, usarts)

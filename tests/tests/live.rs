@@ -145,6 +145,9 @@ impl System {
     /// The answer of the running server.
     fn ask(&self, arguments: &[&str]) -> Option<String> {
         let output = ubimap().current_dir(&self.folder).args(arguments).output().unwrap();
+        if !output.status.success() {
+            print!("{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+        }
         output.status.success().then(|| String::from_utf8(output.stdout).unwrap())
     }
 
@@ -175,6 +178,8 @@ impl System {
     /// Calls the robots back into the cameras' view, stops them, ends all processes and compares the results
     /// with the truth.
     fn finish(mut self, server: Process, robots: Vec<Process>) -> Results {
+        // Robots that explore would go on when they are there.
+        self.ask(&["stop"]).unwrap();
         for (robot, [x, y]) in HOMES {
             let (robot, [x, y]) = (robot.to_string(), [x, y].map(|metres| metres.to_string()));
             let goes = || self.ask(&["go", &robot, &x, &y]).is_some();

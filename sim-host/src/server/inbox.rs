@@ -2,15 +2,22 @@
 
 use ubimap_protocol::{
     message::{
-        Digests, Event, EventCode, Messages, State, TileDigest, TileUpdateHead, ToServer,
-        ToServerMessage,
+        Certainty, Digests, Event, EventCode, FixSource, Messages, PoseFix, State, TileDigest,
+        TileUpdateHead, ToServer, ToServerMessage,
     },
     tile::{Layer, tile_hash},
     time::Instant,
 };
 
 use super::{session::Session, surroundings::Surroundings, unread::Unread};
-use crate::mapping::{RobotLayer, Updated};
+use crate::{
+    mapping::{RobotLayer, Updated},
+    timing::POSE_STALE,
+};
+
+/// Deviations of the pose at which a robot was last heard of before it booted: those at which it does not drive
+/// (15 cm) and does not map (6 degrees).
+const HEARSAY: Certainty = Certainty { x: 150, y: 150, heading: 1_092 };
 
 /// The effects of the messages in a frame.
 #[derive(Debug, Default)]
@@ -100,6 +107,15 @@ impl<'a> Inbox<'a> {
         if let State { time: Some(moment), pose: Some(pose), .. } = state {
             // A robot can't know its pose in the future.
             self.surroundings.robot(self.session.robot(), moment.min(now), pose);
+        } else if let State { time: None, pose: None, .. } = state
+            && let Some((heard, pose)) = self.surroundings.newest(self.session.robot())
+            && now.since(heard) > POSE_STALE
+        {
+            // It has booted where no camera sees it. Its distance vectors will show whether it is still
+            // there; until then it neither maps nor drives.
+            let (certainty, source) = (HEARSAY, FixSource::MapMatch);
+            let earlier = Default::default();
+            self.session.matched(PoseFix { time: now, pose, certainty, source, earlier });
         }
     }
 

@@ -42,6 +42,11 @@ impl Surroundings {
         }
     }
 
+    /// Where a robot was last, and when.
+    pub(super) fn newest(&self, robot: RobotId) -> Option<(Instant, Pose)> {
+        self.robots.get(&robot).copied()
+    }
+
     /// Forgets where a robot was.
     pub(super) fn forget(&mut self, robot: RobotId) {
         self.robots.remove(&robot);

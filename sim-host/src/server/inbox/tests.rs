@@ -2,7 +2,8 @@ use ubimap_protocol::{
     frame::{MIN_VERSION, VERSION},
     message::{Hello, Writer},
     tile::{Cell, Epoch, Stamp, Tile, TileEncoder, TileId, Version},
-    units::{Millimetres, RobotId},
+    time::Duration,
+    units::{Millimetres, Pose, RobotId},
 };
 
 use super::*;
@@ -75,4 +76,26 @@ fn a_digest_that_differs_is_repaired() {
         );
         assert_eq!(layer.seen(ID).unwrap().tile, tile, "the cells stay in the map");
     }
+}
+
+#[test]
+fn a_robot_that_boots_out_of_view_is_told_where_it_was() {
+    let pose = Pose::from_metres(1.0, 2.0, 0.5);
+    let seconds = |seconds| Instant(0) + Duration::from_secs(seconds);
+    let (mut session, mut layer) = (new_session(), RobotLayer::default());
+    let mut surroundings = Surroundings::default();
+    let mut told = |surroundings: &mut Surroundings, pose: Option<Pose>, now| {
+        let mut payload = [0; 40];
+        let mut writer = Writer::<ToServer>::new(&mut payload);
+        let time = pose.map(|_| now);
+        assert!(writer.push(&State { time, pose, odometry: None, cells_refused: 0 }));
+        let len = writer.len();
+        let inbox = Inbox::new(&mut session, &mut layer, surroundings);
+        inbox.take(Messages::new(&payload[..len]), now);
+        session.waiting()
+    };
+    assert_eq!(told(&mut surroundings, None, seconds(1)), 0, "nobody knows");
+    assert_eq!(told(&mut surroundings, Some(pose), seconds(2)), 0);
+    assert_eq!(told(&mut surroundings, None, seconds(4)), 0, "a camera may see it");
+    assert_eq!(told(&mut surroundings, None, seconds(5)), 1);
 }
