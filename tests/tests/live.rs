@@ -80,7 +80,7 @@ struct System {
     camera: StreamRelay,
     rig: Process,
     _emulator: Emulator,
-    /// Poses by the server: its start, the time since, the robot, and x, y in metres and heading in degrees.
+    /// Poses by the server: when its clock was zero, the time by it, the robot, and x, y in metres and heading in degrees.
     told: Vec<(f64, f64, u16, [f64; 3])>,
 }
 
@@ -160,7 +160,7 @@ impl System {
             let Some(answer) = self.ask(&["status", "--json"]) else { continue };
             let middle = (before + unix_s()) / 2.0;
             let report: Value = serde_json::from_str(&answer).unwrap();
-            let began = middle - report["elapsed_s"].as_f64().unwrap();
+            let began = middle - report["time_s"].as_f64().unwrap();
             for (robot, time, pose) in poses(&report) {
                 self.told.push((began, time, robot, pose));
             }
@@ -209,7 +209,7 @@ impl System {
     }
 }
 
-/// The newest poses of a report's robots: number, time since the server's start, and pose.
+/// The newest poses of a report's robots: number, server's time, and pose.
 fn poses(report: &Value) -> impl Iterator<Item = (u16, f64, [f64; 3])> {
     let ports = report["ports"].as_array().unwrap().iter();
     ports.filter(|port| port["session"] == true).filter_map(|port| {
@@ -226,8 +226,8 @@ fn off(pose: [f64; 3], truth: [f64; 3]) -> [f64; 2] {
     [(pose[0] - truth[0]).hypot(pose[1] - truth[1]), turn.abs()]
 }
 
-/// Root mean squares of the errors of poses told, in metres and degrees. The server's start is known from many
-/// answers, of which each came a moment too late.
+/// Root mean squares of the errors of poses told, in metres and degrees. When the server's clock was zero is known
+/// from many answers, of which each came a moment too late.
 fn rms(told: &[(f64, f64, u16, [f64; 3])], track: &Track) -> [f64; 2] {
     let mut lives: Vec<Vec<&(f64, f64, u16, [f64; 3])>> = Vec::new();
     for it in told {

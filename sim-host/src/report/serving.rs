@@ -31,6 +31,8 @@ pub struct ServeReport {
     pub plan: Option<Scores>,
     /// Duration of the run in seconds.
     pub elapsed_s: f64,
+    /// The server's time in seconds: that of all poses and events here. It goes on from a stored map's.
+    pub time_s: f64,
 }
 
 /// Results of one port.

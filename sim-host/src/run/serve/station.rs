@@ -409,6 +409,7 @@ impl Station {
             map: None,
             plan: None,
             elapsed_s: self.now().micros() as f64 / 1e6,
+            time_s: self.deployment.server_time(self.now()).micros() as f64 / 1e6,
         }
     }
 
