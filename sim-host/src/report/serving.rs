@@ -64,6 +64,10 @@ pub struct ServedCamera {
     pub frames: u64,
     /// Frames that were replaced by newer ones, because perception was busy.
     pub skipped: u64,
+    /// Frames that were captured before one that had arrived already.
+    pub out_of_order: u64,
+    /// The time from the capture of the last frame to its arrival, in milliseconds.
+    pub age_ms: f64,
     /// Frames in which robots were looked for.
     pub observations: u64,
     /// Frames of which cells were reported.

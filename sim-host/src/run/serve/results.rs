@@ -81,6 +81,8 @@ pub(super) fn cameras(
             has_pose: camera.is_placed,
             frames: state.frames,
             skipped: state.skipped,
+            out_of_order: state.out_of_order,
+            age_ms: state.age.micros() as f64 / 1e3,
             observations: observed.observations,
             looks: observed.looks,
             digest: HexDigest(observed.digest.into()),
