@@ -5,6 +5,7 @@ use std::{
     fs, io,
     path::{Path, PathBuf},
     thread,
+    time::Duration as RealTime,
 };
 
 use moq_v4l::{
@@ -25,9 +26,9 @@ use crate::{
 };
 
 /// Interval between looks for a device that is away.
-const RETRY: std::time::Duration = std::time::Duration::from_millis(250);
+const RETRY: RealTime = RealTime::from_millis(250);
 /// A device without an image for this long is opened again.
-const SILENT: std::time::Duration = std::time::Duration::from_secs(1);
+const SILENT: RealTime = RealTime::from_secs(1);
 /// Maximum age of an image at its arrival; the stamp of an older one is wrong.
 const OLDEST: Duration = Duration::from_secs(1);
 
@@ -217,10 +218,9 @@ fn age(of: &Metadata) -> Option<Duration> {
     if of.flags & Flags::TIMESTAMP_MASK != Flags::TIMESTAMP_MONOTONIC {
         return None;
     }
-    let now = clock_gettime(ClockId::CLOCK_MONOTONIC).ok()?;
-    let now = now.tv_sec() as i64 * 1_000_000 + now.tv_nsec() as i64 / 1_000;
-    let stamp = of.timestamp.sec as i64 * 1_000_000 + of.timestamp.usec as i64;
-    Some(Duration::from_micros(u64::try_from(now - stamp).ok()?))
+    let now = RealTime::from(clock_gettime(ClockId::CLOCK_MONOTONIC).ok()?);
+    let age = now.checked_sub(of.timestamp.into())?;
+    Some(Duration::from_micros(age.as_micros() as u64))
 }
 
 /// The devices that there are.
