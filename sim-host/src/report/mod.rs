@@ -33,7 +33,9 @@ pub use picture::{
     render_overlap,
 };
 pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
-pub use serving::{EventSummary, PortSummary, ServeReport, ServedCamera, StateSummary};
+pub use serving::{
+    EventSummary, FrameDelays, PortSummary, ServeReport, ServedCamera, StateSummary,
+};
 pub use summary::{
     CalibrationErrors, DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report,
     RobotSummary, TruthScores,

@@ -20,10 +20,39 @@ pub struct ServeReport {
     pub ports: Vec<PortSummary>,
     /// Each camera, in the order of the deployment's file.
     pub cameras: Vec<ServedCamera>,
+    /// How long frames took, if any was looked at.
+    pub delays: Option<FrameDelays>,
     /// The map, if a deployment's file is served.
     pub map: Option<SeenMap>,
     /// Duration of the run in seconds.
     pub elapsed_s: f64,
+}
+
+/// The delays from the arrival of a frame until what was seen in it has been sent to the robots, in
+/// milliseconds, rounded up; those above a second count as a second. Skipped frames have none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct FrameDelays {
+    /// Number of frames.
+    pub frames: u64,
+    /// Half of the frames did not take longer.
+    pub median_ms: u64,
+    /// 90 % did not take longer.
+    pub p90_ms: u64,
+    /// 99 % did not take longer.
+    pub p99_ms: u64,
+    /// The longest delay.
+    pub most_ms: u64,
+}
+
+impl fmt::Display for FrameDelays {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { median_ms, p90_ms, p99_ms, most_ms, .. } = self;
+        write!(
+            f,
+            "from a frame to its messages {median_ms} ms (median), {p90_ms} ms (90 %), {p99_ms} ms (99 %), \
+             {most_ms} ms (most)"
+        )
+    }
 }
 
 /// Results of one port.
@@ -167,6 +196,9 @@ impl fmt::Display for ServeReport {
             }
         }
         self.cameras.iter().try_for_each(|camera| writeln!(f, "{camera}"))?;
+        if let Some(delays) = &self.delays {
+            writeln!(f, "{delays}")?;
+        }
         if let Some(map) = &self.map {
             let area = |cells: u64| cells as f64 * map.resolution_m * map.resolution_m;
             writeln!(f, "{:.1} m2 known, {:.1} m2 in view", area(map.known), area(map.in_view))?;

@@ -353,6 +353,10 @@ impl Station {
             version: ServeReport::VERSION,
             ports: self.links.iter().map(summary).collect(),
             cameras,
+            delays: match &self.eyes {
+                Eyes::Bench(_) => None,
+                Eyes::Cameras(watch) => watch.delays.summary(),
+            },
             map: None,
             elapsed_s: self.now().micros() as f64 / 1e6,
         }
@@ -363,14 +367,14 @@ impl Station {
     /// # Errors
     /// [`RunError::Grid`].
     pub(super) fn outcome(&self) -> Result<(Outcome<ServeReport>, String), RunError> {
-        let (deployed, delays) = match &self.eyes {
-            Eyes::Bench(_) => (&[][..], Delays::default()),
-            Eyes::Cameras(watch) => (&watch.deployed[..], watch.delays.clone()),
+        let deployed = match &self.eyes {
+            Eyes::Bench(_) => &[][..],
+            Eyes::Cameras(watch) => &watch.deployed[..],
         };
         let outcome = results::outcome(self.report(), &self.deployment, deployed, self.now())?;
         let cells = outcome.map.counts().known as f64;
         let known_m2 = cells * self.deployment.resolution().metres().powi(2);
-        let line = results::summary(&outcome.report, &delays, known_m2);
+        let line = results::summary(&outcome.report, known_m2);
         Ok((outcome, line))
     }
 }
