@@ -19,7 +19,7 @@ use ubimap_sim_host::{
         calibrate::{self, options::CalibrateOptions},
         compare,
         conformance::{self, options::ConformanceOptions},
-        control::{ControlOptions, GoOptions, RobotsOptions},
+        control::{GoOptions, RobotsOptions, StatusOptions},
         decode::{self, DecodeOptions},
         init::{self, InitOptions},
         interruption, keys,
@@ -80,7 +80,7 @@ enum Command {
     /// Let a robot of the running server, or all, explore
     Explore(RobotsOptions),
     /// Show robots, cameras and map of the running server
-    Status(ControlOptions),
+    Status(StatusOptions),
     /// Make, list and retire the keys of robots
     Keys(KeysOptions),
     /// Copy the file of --store, even while the server is running
@@ -147,7 +147,7 @@ fn main() -> ExitCode {
         Command::Go(options) => options.run().and_then(|answer| answered(&answer)),
         Command::Stop(options) => options.run("stop").and_then(|answer| answered(&answer)),
         Command::Explore(options) => options.run("explore").and_then(|answer| answered(&answer)),
-        Command::Status(options) => options.status().and_then(|answer| answered(&answer)),
+        Command::Status(options) => options.run().and_then(|answer| answered(&answer)),
         Command::Keys(options) => keys(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),

@@ -186,6 +186,19 @@ impl Emulator {
         Self::start_with(image, USARTS)
     }
 
+    /// Runs an image whose depth sensor and wheels are at these devices, already there. Only its port to the
+    /// server is a new pseudo-terminal.
+    pub fn start_between(
+        image: &Path,
+        sensor: &Path,
+        wheels: &Path,
+    ) -> Result<Self, EmulatorError> {
+        let [sensor, wheels] = [sensor, wheels].map(|device| device.display().to_string());
+        let mut usarts = USARTS;
+        (usarts[0], usarts[5]) = (&wheels, &sensor);
+        Self::start_with(image, usarts)
+    }
+
     /// Runs an image that writes a journal, into a file.
     pub fn start_with_journal(image: &Path, journal: &Path) -> Result<Self, EmulatorError> {
         let journal = format!("file:{}", journal.display());
@@ -219,7 +232,11 @@ impl Emulator {
             }
         });
         // In the order of their numbers.
-        for port in [2, 0, 1] {
+        for (usart, port) in [(0, 2), (2, 0), (5, 1)] {
+            if usarts[usart] != "pty" {
+                emulator.ports[port] = usarts[usart].into();
+                continue;
+            }
             match named.recv_timeout(START_TIMEOUT) {
                 Ok(path) => emulator.ports[port] = path,
                 Err(_) => {

@@ -434,9 +434,9 @@ mod tests {
     }
 
     /// A pose may be known before the clock of a new server is: it must not be told with a time of
-    /// the robot's own clock.
+    /// the robot's own clock. A robot that stands unseen goes on telling it.
     #[test]
-    fn a_state_has_no_time_before_the_clocks_agree() {
+    fn a_state_has_the_pose_of_now_but_no_time_before_the_clocks_agree() {
         const BOUNDS: Bounds = Bounds::SMALL;
         let mut memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
         let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
@@ -468,8 +468,10 @@ mod tests {
             robot.receive(&told(&mut server, &fix), at(millis));
             robot.timeout(at(millis));
         }
+        stands(&mut robot, 1_100..2_100);
         let (known, _) = state(&mut robot, &mut server, at(2_100));
-        assert!(known.time.is_some() && known.pose.is_some(), "{known:?}");
+        assert_eq!(known.pose, Some(pose));
+        assert!(known.time >= Some(Instant(1_900_000)), "{known:?}");
 
         robot.receive(&handshake(&Reset), at(2_400));
         let knock = hello(&mut robot, at(2_401)).unwrap();

@@ -50,7 +50,11 @@ impl Mapper<'_> {
             && scans.check(taken, readings).is_ok()
             && self.selection.stands(self.settings.gate, pose, odometry, readings)
         {
-            // The scan would add nothing, so its pose is not needed.
+            // The scan would add nothing, but tells that the robot is still there: the others must know,
+            // lest they draw it.
+            if let Some(pose) = pose {
+                self.keep_pose(self.clock.to_server(taken).unwrap_or(taken), pose);
+            }
             self.statistics.scans = self.statistics.scans.wrapping_add(1);
             self.statistics.gated = self.statistics.gated.wrapping_add(1);
             return Ok(());

@@ -10,7 +10,7 @@ use super::registry::Registry;
 use crate::{
     camera::Calibration,
     mapping::{CameraTile, CureRecord, TileRecord},
-    server::coordination::Settings,
+    server::coordination::{DrivableFloor, Settings},
 };
 
 /// Gap between the last stored time and the start of the next life. Records contain whole seconds,
@@ -32,6 +32,8 @@ pub struct Config {
     pub obstacle_heights: Option<[Millimetres; 2]>,
     /// Settings of the coordinator, which decides where robots drive; `None` for no coordinator.
     pub coordination: Option<Settings>,
+    /// The floor to which the coordinator keeps robots; `None` for all of it.
+    pub floor: Option<DrivableFloor>,
     /// Whether constant errors of robots are corrected, and robots in blind ground get fixes.
     pub corrects_errors: bool,
     /// Whether [`Deployment::sightings`](super::Deployment::sightings) keeps every sighting of a
@@ -49,6 +51,7 @@ impl Config {
             registry: Registry::default(),
             obstacle_heights: None,
             coordination: None,
+            floor: None,
             corrects_errors: true,
             keeps_sightings: false,
         }

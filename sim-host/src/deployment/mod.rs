@@ -515,6 +515,9 @@ fn server(config: &Config, life: Life) -> Server {
     if let Some(settings) = config.coordination {
         server.coordinate(settings);
     }
+    if let Some(floor) = &config.floor {
+        server.keep_to(floor.clone());
+    }
     if !config.corrects_errors {
         server.leave_errors();
     }

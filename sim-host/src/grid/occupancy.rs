@@ -198,6 +198,41 @@ impl OccupancyGrid {
     }
 }
 
+/// Squares of other grids.
+impl OccupancyGrid {
+    /// The state of a square in `map` with this lower left corner and side, in metres: occupied if any cell
+    /// of the grid in it is, otherwise unknown if any is, otherwise free. Points at most one cell apart are
+    /// looked at, 64 along each side at most.
+    pub fn square(&self, corner_m: [f64; 2], side_m: f64) -> Cell {
+        let count = (side_m / self.resolution_m).ceil().clamp(1.0, 64.0) as u32;
+        let part = |index: u32| side_m * (f64::from(index) + 0.5) / f64::from(count);
+        let mut state = Cell::Free;
+        for index in 0..count * count {
+            let place = [corner_m[0] + part(index % count), corner_m[1] + part(index / count)];
+            let [x, y] = self.from_map(place);
+            let is_inside = x >= 0.0 && y >= 0.0;
+            match if is_inside { self.cell(x as usize, y as usize) } else { Cell::Unknown } {
+                Cell::Occupied | Cell::Movable => return Cell::Occupied,
+                Cell::Unknown => state = Cell::Unknown,
+                Cell::Free => {}
+            }
+        }
+        state
+    }
+
+    /// A grid with the cells of another one, not rotated, and the state of ours in each of them.
+    pub fn on_cells_of(&self, other: &Self) -> Self {
+        let mut grid = other.clone();
+        let side_m = other.resolution_m;
+        for index in 0..other.cells.len() {
+            let (x, y) = (index % other.width, index / other.width);
+            let corner = other.to_map([x as f64, y as f64]);
+            grid.set(x, y, self.square(corner, side_m));
+        }
+        grid
+    }
+}
+
 /// Grid coordinates of the outermost known cells, inclusive.
 #[derive(Clone, Copy, Default)]
 struct Bounds {

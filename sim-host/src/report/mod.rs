@@ -13,6 +13,7 @@ mod output;
 mod output_file;
 mod picture;
 mod placing;
+mod served_robot;
 mod serving;
 mod summary;
 mod watching;
@@ -29,10 +30,11 @@ pub use link::LinkSummary;
 pub use output::{OutputError, OutputFolder};
 pub use output_file::OutputFile;
 pub use picture::{
-    Caption, Marker, MarkerKind, Moment, png, render, render_coverage, render_error, render_frames,
-    render_overlap,
+    Against, Caption, Marker, MarkerKind, Moment, png, render, render_coverage, render_error,
+    render_frames, render_overlap,
 };
 pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
+pub use served_robot::ServedRobot;
 pub use serving::{
     EventSummary, FrameDelays, PortSummary, ServeReport, ServedCamera, StateSummary,
 };

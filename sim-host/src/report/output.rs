@@ -38,7 +38,8 @@ fn told(error: &io::Error) -> String {
 }
 
 /// Results that only some commands write.
-const OPTIONAL: [&str; 4] = ["coverage.png", "error.png", "timelapse.png", "robots.csv"];
+const OPTIONAL: [&str; 5] =
+    ["coverage.png", "error.png", "plan.png", "timelapse.png", "robots.csv"];
 
 /// An output folder that is being written. If it is dropped before [`OutputFolder::finish`],
 /// everything stays as it was.
@@ -233,13 +234,18 @@ fn stage_name(target: &Path, run: u32) -> String {
 }
 
 /// Whether no live run uses a staging folder: the lock is free, and the run is not just about to
-/// take it.
+/// take it. A run that was killed before it took the lock, or while it removed the folder, leaves none.
 fn is_abandoned(stage: &Path, run: u32) -> bool {
     // Process ids are reused, especially in containers, so a folder with the id of this process
     // belongs to an earlier run.
     let may_be_starting =
         run != std::process::id() && Path::new("/proc").join(run.to_string()).exists();
-    !may_be_starting && File::open(stage.join("lock")).is_ok_and(|lock| lock.try_lock().is_ok())
+    let is_free = match File::open(stage.join("lock")) {
+        Ok(lock) => lock.try_lock().is_ok(),
+        // Where processes can't be looked up, another run may be about to take it.
+        Err(error) => error.kind() == io::ErrorKind::NotFound && Path::new("/proc/self").exists(),
+    };
+    !may_be_starting && is_free
 }
 
 #[cfg(unix)]
@@ -344,6 +350,13 @@ mod tests {
         let stage = abandoned(&folder, &["new/map.pgm"]);
         drop(OutputFolder::create(&out).unwrap());
         assert!(!stage.exists() && read("map.pgm") == "before");
+
+        // The run was killed before it took the lock, or while it removed the folder.
+        let stage = abandoned(&folder, &["new/map.pgm"]);
+        fs::remove_file(stage.join("lock")).unwrap();
+        drop(OutputFolder::create(&out).unwrap());
+        assert_eq!(stage.exists(), !Path::new("/proc/self").exists());
+        let _ = fs::remove_dir_all(&stage);
 
         // The run was killed after the exchange: one of the user's files is still in the old
         // folder.

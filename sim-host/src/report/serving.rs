@@ -4,7 +4,8 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::{HexDigest, SeenMap, link::LinkSummary};
+use super::{CameraMove, HexDigest, SeenMap, ServedRobot, link::LinkSummary};
+use crate::grid::Scores;
 
 /// Results of serving robots on serial ports and sockets, with or without cameras.
 ///
@@ -16,14 +17,20 @@ pub struct ServeReport {
     pub schema: &'static str,
     /// Version of the schema.
     pub version: u32,
+    /// Each robot of the deployment, and those that came beside them, by number.
+    pub robots: Vec<ServedRobot>,
     /// Each port, in the order given.
     pub ports: Vec<PortSummary>,
     /// Each camera, in the order of the deployment's file.
     pub cameras: Vec<ServedCamera>,
     /// How long frames took, if any was looked at.
     pub delays: Option<FrameDelays>,
+    /// The movements of cameras that were noticed, in order of time.
+    pub camera_moves: Vec<CameraMove>,
     /// The map, if a deployment's file is served.
     pub map: Option<SeenMap>,
+    /// The agreement of the map with the floor plan, if there is one.
+    pub plan: Option<Scores>,
     /// Duration of the run in seconds.
     pub elapsed_s: f64,
 }
@@ -105,19 +112,38 @@ pub struct ServedCamera {
     pub digest: HexDigest,
     /// Whether no frame has arrived lately.
     pub away: bool,
+    /// Whether it was knocked, and is out of use until its new pose is known.
+    pub knocked: bool,
+    /// Whether it contradicts another camera, so that one of the two was knocked.
+    pub disputed: bool,
     /// The system clock of the server minus the clock of the camera's sender, in seconds.
     pub clock_offset_s: Option<f64>,
     /// How often the sender's clock was set.
     pub clock_jumps: u32,
 }
 
-/// "north: 900 frames, 2 skipped, 870 looked at, 170 mapped; its clock is 3.25 s behind".
+impl ServedCamera {
+    /// What it is to the server.
+    fn state(&self) -> &'static str {
+        match self {
+            Self { frames: 0, .. } => "no frame yet",
+            Self { away: true, .. } => "away",
+            Self { has_pose: false, .. } => "has no pose, not used",
+            Self { knocked: true, .. } => "knocked, out of use until its new pose is known",
+            Self { disputed: true, .. } => "in use, but contradicts another camera",
+            _ => "in use",
+        }
+    }
+}
+
+/// "camera north: in use; 900 frames, 2 skipped, 870 looked at, 170 mapped; its clock is 3.250 s behind".
 impl fmt::Display for ServedCamera {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { name, frames, skipped, observations, looks, .. } = self;
         write!(
             f,
-            "{name}: {frames} frames, {skipped} skipped, {observations} looked at, {looks} mapped"
+            "camera {name}: {}; {frames} frames, {skipped} skipped, {observations} looked at, {looks} mapped",
+            self.state()
         )?;
         if let Some(offset) = self.clock_offset_s {
             let way = if offset < 0.0 { "ahead" } else { "behind" };
@@ -128,8 +154,7 @@ impl fmt::Display for ServedCamera {
                 self.clock_jumps
             )?;
         }
-        let states = [(self.away, "away"), (!self.has_pose, "without a pose, not used")];
-        states.iter().filter(|(is, _)| *is).try_for_each(|(_, state)| write!(f, "; {state}"))
+        Ok(())
     }
 }
 
@@ -168,9 +193,12 @@ impl ServeReport {
     }
 }
 
-/// Two lines for each port, and its newest events.
+/// A line for each robot, camera and movement, two for each port, and its newest events.
 impl fmt::Display for ServeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.robots.iter().try_for_each(|robot| writeln!(f, "{robot}"))?;
+        self.cameras.iter().try_for_each(|camera| writeln!(f, "{camera}"))?;
+        self.camera_moves.iter().try_for_each(|it| writeln!(f, "{it}"))?;
         for port in &self.ports {
             match port.robot {
                 Some(robot) => write!(f, "{}: robot {robot}", port.port)?,
@@ -195,13 +223,21 @@ impl fmt::Display for ServeReport {
                 writeln!(f, "        {:.1} s: {}", event.received_s, event.what)?;
             }
         }
-        self.cameras.iter().try_for_each(|camera| writeln!(f, "{camera}"))?;
         if let Some(delays) = &self.delays {
             writeln!(f, "{delays}")?;
         }
         if let Some(map) = &self.map {
             let area = |cells: u64| cells as f64 * map.resolution_m * map.resolution_m;
             writeln!(f, "{:.1} m2 known, {:.1} m2 in view", area(map.known), area(map.in_view))?;
+        }
+        if let Some(Scores { precision, recall, tolerance_m, .. }) = self.plan {
+            writeln!(
+                f,
+                "{:.0} % of the map's walls are on the plan within {:.0} cm, and {:.0} % of the plan's on the map",
+                100.0 * precision,
+                100.0 * tolerance_m,
+                100.0 * recall
+            )?;
         }
         writeln!(f, "{:.1} s served", self.elapsed_s)
     }
@@ -221,5 +257,37 @@ impl fmt::Display for StateSummary {
             write!(f, ", {} cells refused", self.cells_refused)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_state_of_a_camera_is_told_in_words() {
+        let camera = ServedCamera {
+            name: "north".into(),
+            has_pose: true,
+            frames: 900,
+            skipped: 2,
+            observations: 870,
+            looks: 170,
+            clock_offset_s: Some(-3.25),
+            ..ServedCamera::default()
+        };
+        assert_eq!(
+            camera.to_string(),
+            "camera north: in use; 900 frames, 2 skipped, 870 looked at, 170 mapped; its clock is 3.250 s ahead, \
+             set 0 times"
+        );
+        let state = |camera: ServedCamera| camera.state();
+        assert_eq!(state(ServedCamera { frames: 0, away: true, ..camera.clone() }), "no frame yet");
+        let knocked = ServedCamera { knocked: true, ..camera.clone() };
+        assert!(state(knocked.clone()).starts_with("knocked"));
+        // Whoever has pulled its plug needs to know that first.
+        assert_eq!(state(ServedCamera { away: true, ..knocked }), "away");
+        assert!(state(ServedCamera { disputed: true, ..camera.clone() }).contains("contradicts"));
+        assert!(state(ServedCamera { has_pose: false, ..camera }).contains("no pose"));
     }
 }

@@ -26,6 +26,8 @@ pub(super) enum Request {
     Explore(Option<RobotId>),
     /// Describe the state.
     Status,
+    /// The same as JSON.
+    Report,
 }
 
 /// Where the running server listens.
@@ -62,6 +64,17 @@ pub struct RobotsOptions {
     pub control: ControlOptions,
 }
 
+/// Options of `ubimap status`.
+#[derive(Args, Clone, Debug)]
+pub struct StatusOptions {
+    /// Print it as JSON, in the form of the server's report
+    #[arg(long)]
+    pub json: bool,
+    /// Where the running server listens.
+    #[command(flatten)]
+    pub control: ControlOptions,
+}
+
 impl GoOptions {
     /// Sends the robot. Returns the server's answer.
     ///
@@ -83,13 +96,13 @@ impl RobotsOptions {
     }
 }
 
-impl ControlOptions {
+impl StatusOptions {
     /// Asks for the state. Returns the server's answer.
     ///
     /// # Errors
     /// [`RunError::Control`].
-    pub fn status(&self) -> Result<String, RunError> {
-        ask(self, "status")
+    pub fn run(&self) -> Result<String, RunError> {
+        ask(&self.control, if self.json { "report" } else { "status" })
     }
 }
 
@@ -112,10 +125,11 @@ impl FromStr for Request {
             ["explore"] => Ok(Self::Explore(None)),
             ["explore", id] => Ok(Self::Explore(Some(robot(id)?))),
             ["status"] => Ok(Self::Status),
-            _ => {
-                Err("the requests are go ROBOT X Y, stop [ROBOT], explore [ROBOT] and status"
-                    .into())
-            }
+            ["report"] => Ok(Self::Report),
+            _ => Err(
+                "the requests are go ROBOT X Y, stop [ROBOT], explore [ROBOT], status and report"
+                    .into(),
+            ),
         }
     }
 }
@@ -220,6 +234,7 @@ mod tests {
             ("stop 7", Request::Stop(Some(robot))),
             ("explore 7", Request::Explore(Some(robot))),
             ("status", Request::Status),
+            ("report", Request::Report),
         ] {
             assert_eq!(text.parse(), Ok(expected));
         }

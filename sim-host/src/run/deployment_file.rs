@@ -12,7 +12,7 @@ use std::{
 
 use nalgebra::{Isometry3, Translation3};
 use serde::Deserialize;
-use ubimap_protocol::units::Millimetres;
+use ubimap_protocol::{time::Duration, units::Millimetres};
 
 use super::{RunError, options};
 use crate::{
@@ -20,7 +20,9 @@ use crate::{
     channel::address::Address,
     deployment::registry::{RegisteredRobot, Registry},
     files,
+    grid::{self, OccupancyGrid},
     recording::{IntrinsicsFile, Reading, RecordedFrames},
+    server::coordination::{Area, DrivableFloor},
 };
 
 /// A commented deployment, which `ubimap init` writes.
@@ -35,10 +37,16 @@ pub struct DeploymentFile {
     pub resolution: Millimetres,
     /// Heights between which things block robots.
     pub obstacles: Option<[Millimetres; 2]>,
+    /// A floor plan.
+    pub plan: Option<OccupancyGrid>,
+    /// The floor that robots may use: an area, if one is stated, without the walls of the plan.
+    pub floor: Option<DrivableFloor>,
     /// The file that the map is stored in.
     pub store: Option<PathBuf>,
     /// The folder for the map and the pictures.
     pub out: PathBuf,
+    /// Interval at which they are written.
+    pub interval: Duration,
     /// The folder with the robots' keys; without it the ports are open.
     pub keys: Option<PathBuf>,
     /// Where robots are.
@@ -105,9 +113,13 @@ struct Keys {
     #[serde(default = "usual_resolution_m")]
     resolution_m: f64,
     obstacles_m: Option<[f64; 2]>,
+    plan: Option<PathBuf>,
+    floor: Option<StatedArea>,
     store: Option<PathBuf>,
     #[serde(default = "usual_out")]
     out: PathBuf,
+    #[serde(default = "usual_interval_s")]
+    every_s: f64,
     keys: Option<PathBuf>,
     #[serde(default)]
     ports: Vec<String>,
@@ -118,6 +130,22 @@ struct Keys {
     robots: Vec<RegisteredRobot>,
     #[serde(default)]
     playback: Playback,
+}
+
+/// The floor that robots may use, as the file states it.
+#[derive(Deserialize)]
+#[serde(
+    untagged,
+    expecting = "give a ROS map, as in \"floor.yaml\", or the corners of a polygon in metres, as in \
+                               [[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]]"
+)]
+enum StatedArea {
+    Map(PathBuf),
+    Corners(Vec<[f64; 2]>),
+}
+
+fn usual_interval_s() -> f64 {
+    60.0
 }
 
 fn usual_resolution_m() -> f64 {
@@ -219,9 +247,25 @@ impl DeploymentFile {
             options::heights(&format!("{low},{high}"))
                 .map_err(|error| format!("obstacles_m: {error}"))
         };
+        let plan = keys.plan.map(|plan| grid::read_map(&beside.join(plan)));
+        let plan = plan.transpose().map_err(|error| format!("plan: {error}"))?;
+        let area = keys.floor.map(|area| match area {
+            StatedArea::Map(map) => grid::read_map(&beside.join(map)).map(Area::FreeCells),
+            StatedArea::Corners(corners) => Ok(Area::Polygon(corners)),
+        });
+        let area = area.transpose().map_err(|error| format!("floor: {error}"))?;
+        let floor = (area.is_some() || plan.is_some())
+            .then(|| DrivableFloor::new(resolution, area.as_ref(), plan.as_ref()))
+            .transpose()
+            .map_err(|error| format!("floor: {error}"))?;
+        let interval = options::seconds(&keys.every_s.to_string())
+            .map_err(|error| format!("every_s: {error}"))?;
         Ok(Self {
             path: path.to_owned(),
             resolution,
+            plan,
+            floor,
+            interval,
             obstacles: keys.obstacles_m.map(heights).transpose()?,
             store: keys.store.map(|store| beside.join(store)),
             out: beside.join(keys.out),
@@ -398,73 +442,4 @@ fn calibrated(
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn parse(text: &str) -> Result<DeploymentFile, String> {
-        DeploymentFile::parse(Path::new("d/a.toml"), Path::new("d"), text)
-    }
-
-    #[test]
-    fn the_example_is_a_deployment() {
-        let file = parse(EXAMPLE).unwrap();
-        assert_eq!(file.resolution, Millimetres(50));
-        assert_eq!(file.store.as_deref(), Some(Path::new("d/map.db")));
-        assert_eq!(
-            file.ports.iter().map(Address::to_string).collect::<Vec<_>>(),
-            ["udp:127.0.0.1:4000"]
-        );
-        let [north, south] = &file.cameras[..] else { panic!("{:?}", file.cameras) };
-        assert_eq!(north.source, CameraSource::UnixStream("d/north.sock".into()));
-        assert!(north.is_placed && !south.is_placed);
-        let (depth, picture) = north.calibration.depth.zip(north.calibration.picture).unwrap();
-        assert!((depth.centre().z - 2.8).abs() < 1e-9);
-        assert!(((depth.centre() - picture.centre()).norm() - 0.015).abs() < 1e-9);
-        assert_eq!(file.registry.robots.len(), 2);
-    }
-
-    #[test]
-    fn a_camera_has_one_device_or_two() {
-        let path = |path: &str| Some(PathBuf::from(path));
-        let two = "\"v4l2:/dev/video2\"\npicture_source = \"v4l2:/dev/video4\"";
-        let file = parse(&EXAMPLE.replace("\"stream:north.sock\"", two)).unwrap();
-        let expected =
-            CameraSource::V4l2 { depth: path("/dev/video2"), picture: path("/dev/video4") };
-        assert_eq!(file.cameras[0].source, expected);
-        let file = parse(&EXAMPLE.replace("stream:south.sock", "v4l2:/dev/video2")).unwrap();
-        let expected = CameraSource::V4l2 { depth: path("/dev/video2"), picture: None };
-        assert_eq!(file.cameras[1].source, expected);
-    }
-
-    #[test]
-    fn errors_name_the_place_and_the_remedy() {
-        for (from, to, told) in [
-            ("ports =", "prts =", "unknown field `prts`"),
-            ("tilt_deg", "tilt_dg", "camera north: unknown key `tilt_dg`; the keys are name, "),
-            ("tilt_deg = 45.0", "", "position_m needs either look_at_m, or heading_deg and"),
-            ("stream:north.sock", "north.sock", "give folder:DIR, stream:SOCKET"),
-            ("2.8]", "-2.8]", "its height above the floor must be"),
-            ("\"south\"", "\"north\"", "two cameras are named \"north\""),
-            ("stream:north.sock", "v4l2:", "source: v4l2 needs a device"),
-            ("stream:north.sock", "v4l2:/dev/video0", "picture: needs the device of the pictures"),
-            (
-                "\"stream:south.sock\"",
-                "\"v4l2:x\"\npicture_source = \"v4l2:y\"",
-                "intrinsics of both",
-            ),
-            ("\"stream:south.sock\"", "\"stream:x\"\npicture_source = \"v4l2:y\"", "only a v4l2"),
-            ("[\"udp:4000\"]", "[\"udp:x\"]", "ports: udp:x: not an address"),
-            ("id = 2", "id = 1", "robot 1 is registered twice"),
-            ("0.05", "0.0505", "resolution_m: must be whole millimetres"),
-            ("fx = 337.2", "fx = 0.2", "depth: fx must be more than one pixel"),
-            ("store =", "playback.speed = 4\nstore =", "playback: camera north lives in real time"),
-            ("store =", "playback.sped = 4\nstore =", "unknown field `sped`"),
-            ("stream:north.sock", "folder:/no-such", "camera north: /no-such: No such file"),
-        ] {
-            assert!(EXAMPLE.contains(from), "{from}");
-            let error = parse(&EXAMPLE.replacen(from, to, 1)).unwrap_err();
-            assert!(error.contains(told), "{error}");
-            assert_eq!(error.lines().count(), 1, "{error}");
-        }
-    }
-}
+mod tests;

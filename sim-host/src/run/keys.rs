@@ -76,7 +76,7 @@ fn make(folder: &Path, robot: RobotId) -> Result<String, KeysError> {
     text.push('\n');
     write_whole(&path, &text).map_err(|error| KeysError::new(&path, error))?;
     Ok(format!(
-        "{}: made, fingerprint {}; give it to the robot, and restart the server\n",
+        "{}: made, fingerprint {}; give it to the robot; a running server takes it up by itself\n",
         path.display(),
         fingerprint(&Key::new(bytes))
     ))
@@ -110,7 +110,7 @@ fn retire(folder: &Path, robot: RobotId) -> Result<String, KeysError> {
     }
     fs::rename(&path, &to).map_err(|error| KeysError::new(&path, error))?;
     let number = robot.0;
-    Ok(format!("{}: retired; restart the server to shut robot {number} out\n", to.display()))
+    Ok(format!("{}: retired; a running server shuts robot {number} out\n", to.display()))
 }
 
 /// The robots with their keys and when these were made.

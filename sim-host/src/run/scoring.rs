@@ -13,7 +13,7 @@ use super::{RunError, fleet::Fleet};
 use crate::{
     camera::FrameSource,
     grid::{self, OccupancyGrid},
-    report::{self, Caption, PoseErrors, TruthScores},
+    report::{self, Against, Caption, PoseErrors, TruthScores},
     world::World,
 };
 
@@ -182,7 +182,7 @@ pub(super) fn error_picture(
 ) -> Result<RgbImage, RunError> {
     let ground = Ground::of(world, side_of(map))?;
     let map = &without_bodies(map, world);
-    Ok(report::render_error(map, &ground.whole, &ground.seen, caption))
+    Ok(report::render_error(map, &ground.whole, &ground.seen, Against::Room, caption))
 }
 
 /// The known cells of a map.

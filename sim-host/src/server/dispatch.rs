@@ -6,7 +6,9 @@ use ubimap_protocol::{message::EventCode, time::Instant, units::RobotId};
 
 use super::{
     command::Command,
-    coordination::{Coordinator, GoalError, Notice, Settings, Situation, Whereabouts},
+    coordination::{
+        Coordinator, DrivableFloor, Errand, GoalError, Notice, Settings, Situation, Whereabouts,
+    },
     snapshot::Snapshot,
 };
 
@@ -21,6 +23,11 @@ pub(super) struct Dispatch {
 impl Dispatch {
     pub(super) fn new(settings: Settings) -> Self {
         Self { coordinator: Coordinator::new(settings), explorers: BTreeSet::new() }
+    }
+
+    /// Keeps robots on a floor.
+    pub(super) fn keep_to(&mut self, floor: DrivableFloor) {
+        self.coordinator.keep_to(floor);
     }
 
     /// Lets a robot explore, or stops it from exploring.
@@ -41,6 +48,11 @@ impl Dispatch {
         now: Instant,
     ) -> Result<(), GoalError> {
         self.coordinator.goal(robot, x, y, now)
+    }
+
+    /// What a robot is doing.
+    pub(super) fn errand(&self, robot: RobotId) -> Option<Errand> {
+        self.coordinator.errand(robot)
     }
 
     /// Passes on an event that a robot reported.

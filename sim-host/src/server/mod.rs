@@ -46,7 +46,7 @@ use ubimap_protocol::{
 };
 
 use self::{
-    coordination::{GoalError, Settings},
+    coordination::{DrivableFloor, GoalError, Settings},
     correction::Corrections,
     damaged::Damaged,
     dispatch::Dispatch,
@@ -384,6 +384,13 @@ impl Server {
         // Robots only compare path numbers within an epoch.
         let first_path = server_epoch.wrapping_shl(20);
         self.dispatch = Some(Dispatch::new(Settings { resolution, first_path, ..settings }));
+    }
+
+    /// Keeps the robots of the coordinator on a floor. No effect without a coordinator.
+    pub fn keep_to(&mut self, floor: DrivableFloor) {
+        if let Some(dispatch) = &mut self.dispatch {
+            dispatch.keep_to(floor);
+        }
     }
 
     /// Lets a robot explore while it has no goal, or stops it from exploring. No effect without a

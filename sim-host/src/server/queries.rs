@@ -11,6 +11,7 @@ use ubimap_protocol::{
 
 use super::{
     Server,
+    coordination::Errand,
     events::{EventLog, PersonEvent, RobotEvent, Tally},
     port::{MessageCounters, Port},
     session::Session,
@@ -111,6 +112,17 @@ impl Server {
     /// all messages.
     pub fn left_out(&self, robot: RobotId) -> u64 {
         self.ports.session(robot).map_or(0, Session::left_out)
+    }
+
+    /// What a robot is doing for the coordinator; `None` without one, and for a robot whose position was never
+    /// known.
+    pub fn errand(&self, robot: RobotId) -> Option<Errand> {
+        self.dispatch.as_ref()?.errand(robot)
+    }
+
+    /// The newest pose of a robot, from cameras or its own reports, and its time.
+    pub fn last_pose(&self, robot: RobotId) -> Option<(Instant, Pose)> {
+        self.surroundings.last_pose(robot)
     }
 
     /// The newest pose of each robot, from cameras or its own reports, if it is recent at `moment`.

@@ -70,6 +70,11 @@ impl Surroundings {
         recent.map(|(&robot, &(_, pose))| (robot, pose))
     }
 
+    /// The newest pose of a robot and its time.
+    pub(super) fn last_pose(&self, robot: RobotId) -> Option<(Instant, Pose)> {
+        self.robots.get(&robot).copied()
+    }
+
     /// The time of the newest pose of any other robot.
     pub(super) fn peers_moment(&self, robot: RobotId) -> Option<Instant> {
         self.others(robot).map(|(_, moment, _)| moment).max()

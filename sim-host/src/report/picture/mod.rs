@@ -27,7 +27,9 @@ use image::{
 
 pub use caption::Caption;
 pub use marker::{Marker, MarkerKind};
-pub use views::{Moment, render, render_coverage, render_error, render_frames, render_overlap};
+pub use views::{
+    Against, Moment, render, render_coverage, render_error, render_frames, render_overlap,
+};
 
 /// Encodes a picture as PNG. Flat colours compress best without filters.
 pub fn png(image: &RgbImage) -> Result<Vec<u8>, image::ImageError> {

@@ -138,12 +138,22 @@ pub fn render_overlap(
     finish(canvas, cameras, caption, &cells)
 }
 
-/// Compares a map with the truth. Correct surfaces (within one cell) are black and false ones
+/// What a map is compared with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Against {
+    /// The true room.
+    Room,
+    /// A floor plan.
+    Plan,
+}
+
+/// Compares a map with the truth, or with a plan. Correct surfaces (within one cell) are black and false ones
 /// magenta; missing ones are blue, but only in cells that have been `seen`.
 pub fn render_error(
     map: &OccupancyGrid,
     truth: &OccupancyGrid,
     seen: &OccupancyGrid,
+    against: Against,
     caption: &Caption,
 ) -> RgbImage {
     let is_occupied = |grid: &OccupancyGrid, column: usize, row: usize| {
@@ -162,10 +172,14 @@ pub fn render_error(
         Cell::Free => FREE,
         Cell::Unknown => UNKNOWN,
     });
+    let (extra, missing) = match against {
+        Against::Room => ("on the map, not in the room", "in the room, not on the map"),
+        Against::Plan => ("on the map, not on the plan", "on the plan, not on the map"),
+    };
     let cells = [
         (Sample::Cell(WALL), "right, within a cell"),
-        (Sample::Cell(EXTRA), "on the map, not in the room"),
-        (Sample::Cell(MISSING), "in the room, not on the map"),
+        (Sample::Cell(EXTRA), extra),
+        (Sample::Cell(MISSING), missing),
         (Sample::Cell(FREE), "free"),
         (Sample::Cell(UNKNOWN), "unknown"),
     ];
@@ -201,7 +215,7 @@ fn legend<'m>(cells: &[Entry], markers: impl Iterator<Item = &'m Marker> + Clone
         (MarkerKind::Person, "person, as tracked"),
         (MarkerKind::Camera, "camera"),
         (MarkerKind::CameraDown, "camera that looks down"),
-        (MarkerKind::CameraOut, "camera out of use, after a knock"),
+        (MarkerKind::CameraOut, "camera out of use: knocked, or away"),
     ];
     let kinds = kinds.into_iter().filter(|(kind, _)| is_there(*kind));
     let mut entries = cells.to_vec();
@@ -296,7 +310,7 @@ mod tests {
         let (mut map, truth) = (room(), room());
         map.set(50, 57, Cell::Free);
         map.set(20, 20, Cell::Occupied);
-        let picture = render_error(&map, &truth, &truth, &Caption::default());
+        let picture = render_error(&map, &truth, &truth, Against::Room, &Caption::default());
         let cell = |x, y| cell(&picture, x, y);
         assert_eq!([cell(0, 20), cell(20, 20), cell(50, 57)], [WALL, EXTRA, MISSING]);
     }
@@ -347,7 +361,7 @@ mod tests {
             for picture in [
                 render(&map, markers, &caption),
                 render_coverage(&map, &other, markers, &caption),
-                render_error(&map, &other, &random(), &caption),
+                render_error(&map, &other, &random(), Against::Plan, &caption),
                 render_overlap(
                     &map,
                     markers,

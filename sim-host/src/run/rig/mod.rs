@@ -5,6 +5,7 @@
 //! the deployment, a configuration for each robot, and links to the pseudo-terminals. Nothing else passes
 //! between it and the server; the truth goes into its own report.
 
+mod clock;
 mod devices;
 mod files;
 mod sender;
@@ -24,17 +25,18 @@ use super::{
     interruption,
     options::seconds,
     room_stage::RoomStage,
-    scoring,
+    scoring::{self, TRACK_INTERVAL},
     simulate::RESOLUTION,
     stage::{Event, Stage},
 };
 use crate::{
     camera::FrameSource,
     grid,
-    report::TruthScores,
+    report::{OutputFile, TruthScores},
     world::{Scenario, World},
 };
 
+use clock::{Step, WallClock};
 use devices::Devices;
 use sender::Sender;
 
@@ -71,6 +73,14 @@ pub struct RigOptions {
     /// Score this map of the server at the end, against the truth
     #[arg(long, value_name = "YAML")]
     pub map: Option<PathBuf>,
+
+    /// Write the robots' true poses to this file at the end, twenty rows a second
+    #[arg(long, value_name = "CSV")]
+    pub track: Option<PathBuf>,
+
+    /// Set the cameras' clock while the rig runs: at 60 s, forward by an hour
+    #[arg(long, value_name = "60:3600")]
+    pub set_clock: Option<Step>,
 }
 
 /// The truth about the room.
@@ -121,15 +131,15 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
         .map_err(|error| files::refused(&options.folder, &error))?;
     let mut devices = devices.collect::<Result<Vec<_>, _>>()?;
     files::write(&options.folder, &scenario, &world, options.port)?;
+    let clock = WallClock::start(options.set_clock);
     let senders = FrameSource::cameras(&world).iter().enumerate();
     let senders =
-        senders.map(|(index, _)| Sender::start(options.folder.join(files::socket(index))));
+        senders.map(|(index, _)| Sender::start(options.folder.join(files::socket(index)), clock));
     let senders = senders.collect::<Result<Vec<_>, _>>()?;
 
     let mut stage = RoomStage::filmed(world, Instant(u64::MAX));
     stage.hand_over();
-    let began = time::Instant::now();
-    let elapsed = || Instant(began.elapsed().as_micros() as u64);
+    let elapsed = || Instant(clock.elapsed());
     let mut late = Duration(0);
     let is_over = |now: Instant| options.duration.is_some_and(|end| now >= Instant(0) + end);
     while !interruption::is_requested() && !is_over(elapsed()) {
@@ -139,7 +149,7 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
         while let Some(next) = stage.next_event().filter(|&next| next <= now) {
             match stage.poll(next) {
                 Some(Event::Scan { robot, readings }) => devices[robot].scan(&readings, next),
-                Some(Event::Frame(frame)) => senders[frame.camera].send(frame, began),
+                Some(Event::Frame(frame)) => senders[frame.camera].send(frame, &clock),
                 Some(Event::Odometry { .. } | Event::Observation(_)) | None => {}
             }
         }
@@ -152,6 +162,9 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
         Some(path) => Some(scoring::score(&grid::read_map(path)?, stage.world())?),
         None => None,
     };
+    if let Some(path) = &options.track {
+        OutputFile::create(path)?.finish(track(&stage, clock.began_at()).as_bytes())?;
+    }
     let world = stage.world();
     let robots = world.robots().iter().map(|robot| {
         let pose = robot.truth();
@@ -167,6 +180,19 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
         frames: senders.iter().map(Sender::counts).collect(),
         late_ms: late.micros() / 1_000,
         truth,
-        elapsed_s: began.elapsed().as_secs_f64(),
+        elapsed_s: clock.elapsed() as f64 / 1e6,
     })
+}
+
+/// The robots' true poses as a table, with the wall clock's time.
+fn track(stage: &RoomStage, began_at: u64) -> String {
+    let mut table = String::from("unix_s,robot,x_m,y_m,heading_deg\n");
+    for (robot, track) in stage.world().robots().iter().zip(stage.tracks()) {
+        for (index, pose) in (0_u64..).zip(track) {
+            let at = (began_at + index * TRACK_INTERVAL.micros()) as f64 / 1e6;
+            let (x, y, heading) = (pose.x.metres(), pose.y.metres(), pose.heading.degrees());
+            table += &format!("{at:.3},{},{x:.3},{y:.3},{heading:.2}\n", robot.id().0);
+        }
+    }
+    table
 }

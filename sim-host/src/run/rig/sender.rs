@@ -8,6 +8,7 @@ use std::{
     thread, time,
 };
 
+use super::clock::WallClock;
 use crate::{
     camera::{
         Frame,
@@ -36,18 +37,12 @@ fn locked(mutex: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Microseconds since 1970.
-fn wall_clock() -> u64 {
-    let since = time::SystemTime::now().duration_since(time::UNIX_EPOCH).unwrap_or_default();
-    since.as_micros() as u64
-}
-
 impl Sender {
     /// Starts a thread that connects to a socket as often as necessary. It ends with the process.
     ///
     /// # Errors
     /// [`WireError::Io`] if no thread can be started.
-    pub(super) fn start(socket: PathBuf) -> Result<Self, WireError> {
+    pub(super) fn start(socket: PathBuf, clock: WallClock) -> Result<Self, WireError> {
         let shared = Arc::new((Mutex::new(Waiting::default()), Condvar::new()));
         let name = socket.display().to_string();
         let spawned = thread::Builder::new().name("camera-send".into()).spawn({
@@ -55,7 +50,7 @@ impl Sender {
             move || {
                 loop {
                     match UnixStream::connect(&socket) {
-                        Ok(connection) => feed(&shared, connection),
+                        Ok(connection) => feed(&shared, connection, &clock),
                         Err(_) => thread::sleep(RETRY),
                     }
                 }
@@ -65,10 +60,10 @@ impl Sender {
         Ok(Self(shared))
     }
 
-    /// Hands a frame over; one that still waits is dropped. `began` is when the room's clock was zero.
-    pub(super) fn send(&self, frame: Frame, began: time::Instant) {
-        let age = (began.elapsed().as_micros() as u64).saturating_sub(frame.captured.micros());
-        let captured = wall_clock().saturating_sub(age);
+    /// Hands a frame over; one that still waits is dropped.
+    pub(super) fn send(&self, frame: Frame, clock: &WallClock) {
+        let age = clock.elapsed().saturating_sub(frame.captured.micros());
+        let captured = clock.now().saturating_sub(age);
         let Frame { depth, picture, .. } = frame;
         let (waiting, ready) = &*self.0;
         let mut waiting = locked(waiting);
@@ -87,7 +82,7 @@ impl Sender {
 }
 
 /// Sends frames on a connection until it ends.
-fn feed(shared: &(Mutex<Waiting>, Condvar), connection: UnixStream) {
+fn feed(shared: &(Mutex<Waiting>, Condvar), connection: UnixStream, clock: &WallClock) {
     if connection.set_write_timeout(Some(PATIENCE)).is_err() {
         return;
     }
@@ -96,7 +91,7 @@ fn feed(shared: &(Mutex<Waiting>, Condvar), connection: UnixStream) {
         let waiting = shared.1.wait_while(locked(&shared.0), |waiting| waiting.newest.is_none());
         let newest = waiting.unwrap_or_else(PoisonError::into_inner).newest.take();
         let Some(frame) = newest else { continue };
-        let frame = StreamedFrame { sent: wall_clock(), ..frame };
+        let frame = StreamedFrame { sent: clock.now(), ..frame };
         let written =
             stream::write(&mut out, &frame).and_then(|()| std::io::Write::flush(&mut out));
         if written.is_err() {

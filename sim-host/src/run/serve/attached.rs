@@ -102,6 +102,11 @@ impl Attached {
         self.listening.as_ref().map(Listening::source)
     }
 
+    /// The name of the port.
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
     /// The robot that has, or last had, a session here.
     pub(super) fn robot(&self) -> Option<RobotId> {
         self.robot

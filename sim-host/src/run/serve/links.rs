@@ -5,7 +5,7 @@ use std::{net::SocketAddr, time};
 use log::Level;
 use ubimap_protocol::{
     time::{Duration, Instant},
-    units::Pose,
+    units::{Pose, RobotId},
 };
 
 use super::{attached::Attached, message::Message};
@@ -130,6 +130,13 @@ impl Links {
     /// The links with their ports.
     pub(super) fn iter(&self) -> impl Iterator<Item = (PortId, &Attached)> {
         self.links.iter().map(|link| (link.port, &link.attached))
+    }
+
+    /// The robots that were heard: the name of the port, and when bytes last arrived there.
+    pub(super) fn robots(&self) -> impl Iterator<Item = (RobotId, &str, Instant)> {
+        self.links
+            .iter()
+            .filter_map(|link| Some((link.attached.robot()?, link.attached.name(), link.heard)))
     }
 
     /// What other threads send messages with.

@@ -13,23 +13,25 @@ mod bench_camera;
 mod cameras;
 mod clock;
 mod links;
+mod live_keys;
 mod message;
 mod perceiving;
 mod results;
+mod robots;
 mod sources;
+mod standing;
 mod station;
 
 use std::{path::Path, sync::mpsc, time};
 
 use ubimap_protocol::{
-    frame::Key,
     tile::Epoch,
+    time::Duration,
     units::{Pose, RobotId},
 };
 
 use super::{
-    RunError, control, deployment_file::DeploymentFile, interruption, keeper, keys,
-    options::ServeOptions,
+    RunError, control, deployment_file::DeploymentFile, interruption, keeper, options::ServeOptions,
 };
 use crate::{
     channel::{address::Address, serial::SerialPort},
@@ -40,11 +42,14 @@ use crate::{
 pub use attached::{Attached, Opener};
 pub use bench_camera::CAPTURE_INTERVAL;
 pub use links::Door;
+pub use live_keys::LiveKeys;
 pub use station::Station;
 
 use message::Message;
 use results::Writer;
 
+/// Interval between two lines about the state in the log.
+const SUMMARY: Duration = Duration::from_secs(60);
 /// How long a command waits for the core.
 const PATIENCE: time::Duration = time::Duration::from_secs(5);
 
@@ -84,17 +89,14 @@ fn serve_bench(options: &ServeOptions) -> Result<ServeReport, RunError> {
 }
 
 /// The robots' keys, if the ports shall be sealed: from the folder of an option, or that of a deployment.
-fn keyring(
-    options: &ServeOptions,
-    stated: Option<&Path>,
-) -> Result<Option<Vec<(RobotId, Key)>>, RunError> {
+fn keyring(options: &ServeOptions, stated: Option<&Path>) -> Result<Option<LiveKeys>, RunError> {
     let asked = options.keys.as_deref().or(options.sealed.then_some(Path::new("keys")));
-    let folder = asked.or(stated.filter(|_| !options.open));
-    let keys = folder.map(keys::load).transpose()?;
-    if let (Some(folder), Some([])) = (folder, keys.as_deref()) {
+    let Some(folder) = asked.or(stated.filter(|_| !options.open)) else { return Ok(None) };
+    let keys = LiveKeys::open(folder)?;
+    if keys.all().next().is_none() {
         log::warn!("{}: no robot has a key: ubimap keys make ROBOT", folder.display());
     }
-    Ok(keys)
+    Ok(Some(keys))
 }
 
 /// Serves the deployment of a file.
@@ -108,7 +110,7 @@ fn serve_file(path: &Path, options: &ServeOptions) -> Result<ServeReport, RunErr
     if file.ports.is_empty() && file.cameras.is_empty() {
         return Err(refuse("has neither ports nor cameras: nothing to serve"));
     }
-    let mut writer = Writer::new(file.out.clone())?;
+    let mut writer = Writer::new(file.out.clone(), file.interval)?;
     // Before the ports, so that a key that can't be used opens none.
     let keys = keyring(options, file.keys.as_deref())?;
     let links = open(&file.ports, options, keys.is_some(), |_| None)?;
@@ -118,27 +120,33 @@ fn serve_file(path: &Path, options: &ServeOptions) -> Result<ServeReport, RunErr
         registry: file.registry.clone(),
         obstacle_heights: file.obstacles,
         coordination: Some(Settings::default()),
+        floor: file.floor,
         ..deployment::Config::new(file.resolution)
     };
     for camera in file.cameras.iter().filter(|camera| !camera.is_placed) {
         log::warn!("camera {} has no pose: it is shown and not used", camera.name);
     }
-    let mut station =
-        Station::live(config, life, (links, keys), keeper, file.cameras, file.playback)?;
+    let mut station = Station::live(
+        config,
+        life,
+        (links, keys),
+        keeper,
+        (file.cameras, file.plan),
+        file.playback,
+    )?;
     if options.explore {
         station.explore(file.registry.robots.iter().map(|robot| RobotId(robot.id)));
     }
     listen(path, &station)?;
     let served = turn(&mut station, options, Some(&mut writer));
-    let outcome = station.outcome();
+    let snapshot = station.snapshot();
     station.finish();
     // Whoever asks now finds no server.
     let _ = std::fs::remove_file(control::socket(path));
     served?;
-    let (outcome, _) = outcome?;
-    writer.finish(&outcome)?;
+    let report = writer.finish(snapshot?)?;
     log::info!("results in {}", file.out.display());
-    Ok(outcome.report)
+    Ok(report)
 }
 
 /// Turns until the time is up or a signal interrupts.
@@ -148,14 +156,17 @@ fn turn(
     mut writer: Option<&mut Writer>,
 ) -> Result<(), RunError> {
     let end = options.duration.map(|duration| station.now() + duration);
+    let mut next_summary = station.now() + SUMMARY;
     while !interruption::is_requested() && end.is_none_or(|end| station.now() < end) {
         station.turn();
         if let Some(writer) = &mut writer
             && writer.is_due(station.now())
         {
-            let (outcome, line) = station.outcome()?;
-            log::info!("{line}");
-            writer.write(outcome, station.now());
+            writer.write(station.snapshot()?, station.now());
+        }
+        if writer.is_some() && station.now() >= next_summary {
+            next_summary = station.now() + SUMMARY;
+            log::info!("{}", station.summary(&station.snapshot()?));
         }
     }
     Ok(())

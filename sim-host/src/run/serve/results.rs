@@ -2,8 +2,9 @@
 
 use std::{
     path::PathBuf,
+    sync::Arc,
     thread,
-    time::{Duration as RealTime, SystemTime, UNIX_EPOCH},
+    time::{SystemTime, UNIX_EPOCH},
 };
 
 use ubimap_protocol::{
@@ -11,21 +12,21 @@ use ubimap_protocol::{
     units::Millimetres,
 };
 
-use super::cameras::{AWAY, CameraState};
+use super::{
+    cameras::{AWAY, CameraState},
+    standing::Standings,
+};
 use crate::{
     camera::Calibration,
     deployment::Deployment,
-    grid::OccupancyGrid,
+    grid::{self, OccupancyGrid, Scores},
     mapping::ServedLayer,
     report::{
-        self, Caption, FrameDelays, HexDigest, Marker, MarkerKind, OutputFolder, SeenMap,
+        self, Against, Caption, FrameDelays, HexDigest, Marker, MarkerKind, OutputFolder, SeenMap,
         ServeReport, ServedCamera,
     },
     run::{Outcome, RunError, deployment_file::DeployedCamera, markers},
 };
-
-/// Interval between two results.
-const INTERVAL: Duration = Duration::from_secs(60);
 
 /// Delays longer than this many milliseconds are counted as this one.
 const LONGEST_MS: usize = 1_000;
@@ -69,6 +70,7 @@ impl Delays {
 pub(super) fn cameras(
     cameras: &[DeployedCamera],
     states: &[CameraState],
+    standings: &Standings,
     deployment: &Deployment,
     now: Instant,
 ) -> Vec<ServedCamera> {
@@ -88,6 +90,8 @@ pub(super) fn cameras(
             age_ms: state.age.micros() as f64 / 1e3,
             observations: observed.observations,
             looks: observed.looks,
+            knocked: standings.is_knocked(index),
+            disputed: standings.is_disputed(index),
             digest: HexDigest(observed.digest.into()),
             away: state.last.is_none_or(|last| now.since(last) > AWAY),
             clock_offset_s: state.clock.and_then(|it| it.offset_micros()).map(seconds),
@@ -111,67 +115,94 @@ fn seen(map: &OccupancyGrid, coverage: &OccupancyGrid, deployment: &Deployment) 
     SeenMap::new(map, coverage, HexDigest(deployment.server().fused().digest().0))
 }
 
-/// The figures of the map at this time.
-///
-/// # Errors
-/// [`RunError::Grid`].
-pub(super) fn map(deployment: &Deployment) -> Result<SeenMap, RunError> {
-    let [map, coverage] = grids(deployment)?;
-    Ok(seen(&map, &coverage, deployment))
+/// What is known at one time; the pictures are drawn later.
+#[derive(Clone, Debug)]
+pub(super) struct Snapshot {
+    pub(super) report: ServeReport,
+    map: OccupancyGrid,
+    coverage: OccupancyGrid,
+    plan: Option<Arc<OccupancyGrid>>,
+    views: Vec<Marker>,
+    others: Vec<Marker>,
+    caption: Caption,
 }
 
-/// The results at this time.
-pub(super) fn outcome(
-    mut report: ServeReport,
-    deployment: &Deployment,
-    cameras: &[DeployedCamera],
-    now: Instant,
-) -> Result<Outcome<ServeReport>, RunError> {
-    let server = deployment.server();
-    let [map, coverage] = grids(deployment)?;
-    report.map = Some(seen(&map, &coverage, deployment));
-    let caption =
-        Caption { subject: "live".into(), seed: None, time_s: Some(now.micros() as f64 / 1e6) };
-    let placed: Vec<Calibration> =
-        cameras.iter().filter(|it| it.is_placed).map(|it| it.calibration).collect();
-    let views = markers::cameras(placed.iter().map(|camera| (camera, true)));
-    let robots = server.whereabouts(deployment.server_time(now)).map(|(robot, pose)| Marker {
-        radius_m: markers::radius_m(deployment, robot),
-        label: robot.0.to_string(),
-        ..Marker::new(
-            MarkerKind::Robot,
-            [pose.x, pose.y].map(Millimetres::metres),
-            pose.heading.radians(),
-        )
-    });
-    let people = markers::people(deployment, now);
-    let all = robots.chain(people).chain(views.iter().cloned()).collect();
-    let picture = report::render_coverage(&map, &coverage, &views, &caption);
-    Ok(Outcome {
-        report,
-        map,
-        markers: all,
-        caption,
-        pictures: vec![("coverage.png", picture)],
-        tables: Vec::new(),
-    })
+impl Snapshot {
+    /// The state at this time. `cameras` are those with a pose, where they hang now, and whether each is in
+    /// use.
+    ///
+    /// # Errors
+    /// [`RunError::Grid`].
+    pub(super) fn new<'c>(
+        mut report: ServeReport,
+        deployment: &Deployment,
+        cameras: impl IntoIterator<Item = (&'c Calibration, bool)>,
+        plan: Option<Arc<OccupancyGrid>>,
+        now: Instant,
+    ) -> Result<Self, RunError> {
+        let server = deployment.server();
+        let [map, coverage] = grids(deployment)?;
+        report.map = Some(seen(&map, &coverage, deployment));
+        report.plan = plan.as_deref().map(|plan| agreement(&map, plan));
+        let caption =
+            Caption { subject: "live".into(), seed: None, time_s: Some(now.micros() as f64 / 1e6) };
+        let robots = server.whereabouts(deployment.server_time(now)).map(|(robot, pose)| Marker {
+            radius_m: markers::radius_m(deployment, robot),
+            label: robot.0.to_string(),
+            ..Marker::new(
+                MarkerKind::Robot,
+                [pose.x, pose.y].map(Millimetres::metres),
+                pose.heading.radians(),
+            )
+        });
+        let others = robots.chain(markers::people(deployment, now)).collect();
+        let views = markers::cameras(cameras);
+        Ok(Self { report, map, coverage, plan, views, others, caption })
+    }
+
+    /// The area that the map knows, in square metres.
+    pub(super) fn known_m2(&self) -> f64 {
+        self.map.counts().known as f64 * self.map.resolution_m().powi(2)
+    }
+
+    /// Draws the pictures.
+    fn outcome(self) -> Outcome<ServeReport> {
+        let Self { report, map, coverage, plan, views, others, caption } = self;
+        let coverage = report::render_coverage(&map, &coverage, &views, &caption);
+        let plan = plan.map(|plan| {
+            let plan = plan.on_cells_of(&map);
+            report::render_error(&map, &plan, &plan, Against::Plan, &caption)
+        });
+        let markers = others.into_iter().chain(views).collect();
+        let pictures = [("coverage.png", Some(coverage)), ("plan.png", plan)];
+        let pictures = pictures.into_iter().filter_map(|(name, it)| Some((name, it?))).collect();
+        Outcome { report, map, markers, caption, pictures, tables: Vec::new() }
+    }
+}
+
+/// The agreement of a map with a plan, within a cell of the coarser one.
+pub(super) fn agreement(map: &OccupancyGrid, plan: &OccupancyGrid) -> Scores {
+    grid::compare(map, plan, Some(map.resolution_m().max(plan.resolution_m())))
 }
 
 /// Writes results into a folder, now and then in a thread, whole or not at all.
 #[derive(Debug)]
 pub(super) struct Writer {
     out: PathBuf,
+    interval: Duration,
     next: Instant,
     writing: Option<thread::JoinHandle<()>>,
 }
 
 impl Writer {
+    /// A writer that is due after each interval.
+    ///
     /// # Errors
     /// [`RunError::Output`] if the folder can't be written.
-    pub(super) fn new(out: PathBuf) -> Result<Self, RunError> {
+    pub(super) fn new(out: PathBuf, interval: Duration) -> Result<Self, RunError> {
         // Dropped at once: only to fail early.
         OutputFolder::create(&out)?;
-        Ok(Self { out, next: Instant(0) + INTERVAL, writing: None })
+        Ok(Self { out, interval, next: Instant(0) + interval, writing: None })
     }
 
     /// Whether results are due.
@@ -180,13 +211,13 @@ impl Writer {
     }
 
     /// Writes results in a thread.
-    pub(super) fn write(&mut self, outcome: Outcome<ServeReport>, now: Instant) {
-        self.next = now + INTERVAL;
+    pub(super) fn write(&mut self, snapshot: Snapshot, now: Instant) {
+        self.next = now + self.interval;
         let out = self.out.clone();
         let work = move || {
             let written = OutputFolder::create(&out).map_err(RunError::from);
-            if let Err(error) = written.and_then(|folder| outcome.write(folder)) {
-                log::error!("{error}; trying again in a minute");
+            if let Err(error) = written.and_then(|folder| snapshot.outcome().write(folder)) {
+                log::error!("{error}; trying again when the next results are due");
             }
         };
         match thread::Builder::new().name("results".into()).spawn(work) {
@@ -199,19 +230,21 @@ impl Writer {
     ///
     /// # Errors
     /// [`RunError`].
-    pub(super) fn finish(mut self, outcome: &Outcome<ServeReport>) -> Result<(), RunError> {
-        while self.writing.as_ref().is_some_and(|thread| !thread.is_finished()) {
-            thread::sleep(RealTime::from_millis(10));
+    pub(super) fn finish(mut self, snapshot: Snapshot) -> Result<ServeReport, RunError> {
+        if let Some(thread) = self.writing.take() {
+            // A panic in it has been reported.
+            let _ = thread.join();
         }
-        self.writing = None;
-        outcome.write(OutputFolder::create(&self.out)?)
+        let outcome = snapshot.outcome();
+        outcome.write(OutputFolder::create(&self.out)?)?;
+        Ok(outcome.report)
     }
 }
 
 /// One line about the state, for the log.
 pub(super) fn summary(report: &ServeReport, known_m2: f64) -> String {
     let robots = report.ports.iter().filter(|port| port.session).count();
-    let there = report.cameras.iter().filter(|camera| !camera.away).count();
+    let there = report.cameras.iter().filter(|camera| !camera.away && !camera.knocked).count();
     let skipped: u64 = report.cameras.iter().map(|camera| camera.skipped).sum();
     let frames: u64 = report.cameras.iter().map(|camera| camera.frames).sum();
     let delays = report.delays.map_or(String::new(), |delays| format!("; {delays}"));

@@ -1,10 +1,10 @@
 //! A deployment with its links and cameras, driven by the wall clock.
 
-use std::{sync::Arc, time};
+use std::{collections::BTreeSet, sync::Arc, time};
 
 use log::Level;
 use ubimap_protocol::{
-    frame::{Key, MAX_FRAME},
+    frame::MAX_FRAME,
     message::Stop,
     time::{Duration, Instant},
     units::{Millimetres, RobotId},
@@ -16,20 +16,24 @@ use super::{
     cameras::Cameras,
     clock::Clock,
     links::{Door, Links},
+    live_keys::{KeyChange, LiveKeys},
     message::{Message, Move, Perceived},
     perceiving,
-    results::{self, Delays},
-    sources,
+    results::{self, Delays, Snapshot},
+    robots, sources,
+    standing::Standings,
 };
 use crate::{
     channel::intake::{Arrival, Feed},
     deployment::{Config, Deployment, Event, Life, Policy},
+    grid::OccupancyGrid,
     perception::{Observer, robots::RegistryError},
-    report::ServeReport,
+    report::{ServeReport, json_pretty},
     run::{
-        Outcome, RunError,
+        RunError,
         control::Request,
         deployment_file::{DeployedCamera, Playback},
+        figures,
         keeper::Keeper,
     },
     server::Command,
@@ -49,15 +53,20 @@ pub struct Station {
     deployment: Deployment,
     links: Links,
     keeper: Option<Keeper>,
+    /// `None` if the ports are open.
+    keys: Option<LiveKeys>,
     eyes: Eyes,
     clock: Clock,
     buffer: Vec<u8>,
     /// The number of the last stop command.
     stops: u32,
+    /// The robots that a user has stopped.
+    stopped: BTreeSet<RobotId>,
+    registered: Vec<RobotId>,
 }
 
 /// Links and sockets, and the robots' keys, if they are sealed.
-pub(super) type Connections = ((Vec<Attached>, Vec<Door>), Option<Vec<(RobotId, Key)>>);
+pub(super) type Connections = ((Vec<Attached>, Vec<Door>), Option<LiveKeys>);
 
 /// Who sees the robots.
 enum Eyes {
@@ -70,6 +79,8 @@ enum Eyes {
 struct Watch {
     cameras: Arc<Cameras>,
     deployed: Vec<DeployedCamera>,
+    standings: Standings,
+    plan: Option<Arc<OccupancyGrid>>,
     delays: Delays,
 }
 
@@ -83,17 +94,17 @@ impl Station {
     pub fn new(
         resolution: Millimetres,
         life: Life,
-        (wires, doors): (Vec<Attached>, Vec<Door>),
-        keys: Option<Vec<(RobotId, Key)>>,
+        links: (Vec<Attached>, Vec<Door>),
+        keys: Option<LiveKeys>,
         keeper: Option<Keeper>,
     ) -> Result<Self, RunError> {
         let config = Config::new(resolution);
         let eyes = Eyes::Bench(BenchCamera::default());
-        Self::with(config, life, ((wires, doors), keys), keeper, (eyes, Clock::new(1.0)))
+        Self::with(config, life, (links, keys), keeper, (eyes, Clock::new(1.0)))
     }
 
-    /// Starts a deployment with cameras. Those of `config` are not used: perception runs in a thread.
-    /// With keys all ports are keyed.
+    /// Starts a deployment with cameras, and a floor plan to compare the map with. The cameras of `config` are
+    /// not used: perception runs in a thread. With keys all ports are keyed.
     ///
     /// # Errors
     /// [`RunError::Port`] if a socket can't be opened or a thread not started; [`RunError::Registry`].
@@ -102,7 +113,7 @@ impl Station {
         life: Life,
         links: Connections,
         keeper: Option<Keeper>,
-        deployed: Vec<DeployedCamera>,
+        (deployed, plan): (Vec<DeployedCamera>, Option<OccupancyGrid>),
         playback: Playback,
     ) -> Result<Self, RunError> {
         let observer = observer(&config, &deployed);
@@ -111,7 +122,13 @@ impl Station {
         let mut number = 0..;
         let numbers = deployed.iter().map(|it| it.is_placed.then(|| number.next()).flatten());
         let numbers = numbers.collect();
-        let watch = Watch { cameras: Arc::clone(&cameras), deployed, delays: Delays::default() };
+        let watch = Watch {
+            cameras: Arc::clone(&cameras),
+            standings: Standings::new(&deployed),
+            plan: plan.map(Arc::new),
+            deployed,
+            delays: Delays::default(),
+        };
         let clock = Clock::new(playback.speed);
         let mut station = Self::with(config, life, links, keeper, (Eyes::Cameras(watch), clock))?;
         perceiving::start(Arc::clone(&cameras), observer, numbers, station.feed())?;
@@ -128,18 +145,31 @@ impl Station {
         keeper: Option<Keeper>,
         (eyes, clock): (Eyes, Clock),
     ) -> Result<Self, RunError> {
+        let registered = config.registry.footprints().map(|(robot, _)| robot).collect();
         let mut deployment = Deployment::new(config, life)?;
         let level = match eyes {
             Eyes::Bench(_) => Level::Info,
             Eyes::Cameras(_) => Level::Debug,
         };
         let policy = if keys.is_some() { Policy::Keyed } else { Policy::Open };
-        for (robot, key) in keys.into_iter().flatten() {
+        for (robot, key) in keys.iter().flat_map(LiveKeys::all) {
             deployment.set_key(robot, key);
         }
         let links = Links::open(wires, doors, policy, &mut deployment, level)?;
         let buffer = vec![0; 4 * MAX_FRAME];
-        Ok(Self { deployment, links, keeper, eyes, clock, buffer, stops: 0 })
+        let stopped = BTreeSet::new();
+        Ok(Self {
+            deployment,
+            links,
+            keeper,
+            keys,
+            eyes,
+            clock,
+            buffer,
+            stops: 0,
+            stopped,
+            registered,
+        })
     }
 
     /// The deployment.
@@ -185,9 +215,26 @@ impl Station {
             wait = time::Duration::ZERO;
         }
         let now = self.now();
+        self.follow_keys(now);
         self.links.follow_hang_ups(&mut self.deployment, now);
         self.deployment.timeout(now);
         self.drain();
+    }
+
+    /// Takes over keys that were made, replaced or retired.
+    fn follow_keys(&mut self, now: Instant) {
+        for change in self.keys.iter_mut().flat_map(|keys| keys.poll(now)) {
+            match change {
+                KeyChange::Given(robot, key) => {
+                    self.deployment.set_key(robot, key);
+                    log::info!("robot {} has a new key", robot.0);
+                }
+                KeyChange::Retired(robot) => {
+                    self.deployment.retire_key(robot);
+                    log::info!("robot {} has no key any more: it is shut out", robot.0);
+                }
+            }
+        }
     }
 
     /// Lets the bench's camera look.
@@ -227,6 +274,9 @@ impl Station {
             self.deployment.frame_error(fault, arrived);
         }
         for Move { camera, captured, change, before } in moves {
+            if let Eyes::Cameras(watch) = &mut self.eyes {
+                watch.standings.follow(camera, &change);
+            }
             self.deployment.camera_moved(captured, camera, change, before.as_ref());
         }
         for (captured, event) in events {
@@ -244,7 +294,13 @@ impl Station {
     fn obey(&mut self, request: Request) -> Result<String, String> {
         let now = self.now();
         match request {
-            Request::Status => Ok(self.status()),
+            Request::Status | Request::Report => {
+                let snapshot = self.snapshot().map_err(|error| error.to_string())?;
+                Ok(match request {
+                    Request::Report => json_pretty(&snapshot.report),
+                    _ => snapshot.report.to_string(),
+                })
+            }
             Request::Go(robot, place) => {
                 self.deployment.goal(robot, place, now).map_err(|error| error.to_string())?;
                 self.stop(robot, false)?;
@@ -277,18 +333,12 @@ impl Station {
     fn stop(&mut self, robot: RobotId, stop: bool) -> Result<(), String> {
         self.stops += 1;
         let command = Command::Stop(Stop { number: self.stops, stop });
-        self.deployment.command(robot, command).map_err(|error| error.to_string())
-    }
-
-    fn status(&self) -> String {
-        let moment = self.deployment.server_time(self.now());
-        let map = results::map(&self.deployment).ok();
-        let mut text = ServeReport { map, ..self.report() }.to_string();
-        for (robot, pose) in self.deployment.server().whereabouts(moment) {
-            let (x, y, heading) = (pose.x.metres(), pose.y.metres(), pose.heading.degrees());
-            text += &format!("robot {}: at {x:.2} m, {y:.2} m, {heading:.0} degrees\n", robot.0);
-        }
-        text
+        self.deployment.command(robot, command).map_err(|error| error.to_string())?;
+        match stop {
+            true => self.stopped.insert(robot),
+            false => self.stopped.remove(&robot),
+        };
+        Ok(())
     }
 
     /// Ends the service in order: tells all robots to stop, and writes what is not on disk yet.
@@ -341,41 +391,49 @@ impl Station {
         let summary = |(port, link): (_, &Attached)| {
             link.summary(self.deployment.port(port).ok().as_ref(), self.deployment.server())
         };
+        let now = self.now();
         let cameras = match &self.eyes {
             Eyes::Bench(_) => Vec::new(),
-            Eyes::Cameras(watch) => {
-                let states = watch.cameras.states();
-                results::cameras(&watch.deployed, &states, &self.deployment, self.now())
+            Eyes::Cameras(Watch { cameras, deployed, standings, .. }) => {
+                results::cameras(deployed, &cameras.states(), standings, &self.deployment, now)
             }
         };
+        let Self { deployment, links, registered, stopped, .. } = self;
         ServeReport {
             schema: ServeReport::SCHEMA,
             version: ServeReport::VERSION,
+            robots: robots::robots(deployment, links, registered, stopped, now),
             ports: self.links.iter().map(summary).collect(),
             cameras,
             delays: match &self.eyes {
                 Eyes::Bench(_) => None,
                 Eyes::Cameras(watch) => watch.delays.summary(),
             },
+            camera_moves: figures::camera_moves(&self.deployment),
             map: None,
+            plan: None,
             elapsed_s: self.now().micros() as f64 / 1e6,
         }
     }
 
-    /// The results at this time, and one line about them.
+    /// The results at this time.
     ///
     /// # Errors
     /// [`RunError::Grid`].
-    pub(super) fn outcome(&self) -> Result<(Outcome<ServeReport>, String), RunError> {
-        let deployed = match &self.eyes {
-            Eyes::Bench(_) => &[][..],
-            Eyes::Cameras(watch) => &watch.deployed[..],
+    pub(super) fn snapshot(&self) -> Result<Snapshot, RunError> {
+        let (report, now) = (self.report(), self.now());
+        let Eyes::Cameras(watch) = &self.eyes else {
+            return Snapshot::new(report, &self.deployment, [], None, now);
         };
-        let outcome = results::outcome(self.report(), &self.deployment, deployed, self.now())?;
-        let cells = outcome.map.counts().known as f64;
-        let known_m2 = cells * self.deployment.resolution().metres().powi(2);
-        let line = results::summary(&outcome.report, known_m2);
-        Ok((outcome, line))
+        let is_out: Vec<bool> =
+            report.cameras.iter().map(|camera| camera.away || camera.knocked).collect();
+        let placed = watch.standings.placed().map(|(index, camera)| (camera, !is_out[index]));
+        Snapshot::new(report, &self.deployment, placed, watch.plan.clone(), now)
+    }
+
+    /// One line about the results.
+    pub(super) fn summary(&self, snapshot: &Snapshot) -> String {
+        results::summary(&snapshot.report, snapshot.known_m2())
     }
 }
 

@@ -10,6 +10,7 @@ use ubimap_protocol::{
 };
 
 use super::{
+    drivable::DrivableFloor,
     frontiers::Frontier,
     ground::{Disc, Ground, Point},
     member::Member,
@@ -30,6 +31,8 @@ use crate::server::command::Command;
 #[derive(Debug)]
 pub struct Coordinator {
     pub(super) settings: Settings,
+    /// The floor that robots may use; `None` for all of it.
+    floor: Option<DrivableFloor>,
     next_path: u32,
     /// The robots in order of id; `reservations` has the same order.
     pub(super) members: Vec<Member>,
@@ -54,6 +57,7 @@ impl Coordinator {
     pub fn new(settings: Settings) -> Self {
         Self {
             settings,
+            floor: None,
             next_path: settings.first_path,
             members: Vec::new(),
             reservations: Reservations::default(),
@@ -68,6 +72,11 @@ impl Coordinator {
             commands: VecDeque::new(),
             notices: VecDeque::new(),
         }
+    }
+
+    /// Keeps robots on a floor.
+    pub fn keep_to(&mut self, floor: DrivableFloor) {
+        self.floor = Some(floor);
     }
 
     /// Sends a robot to a position in `map`, in metres; replaces its current goal or target.
@@ -187,6 +196,12 @@ impl Coordinator {
     /// Checks whether a goal is reachable on the known ground. Returns the robot's index.
     fn check(&self, robot: RobotId, goal: Point) -> Result<usize, GoalError> {
         let index = self.index(robot).map_err(|_| GoalError::UnknownRobot(robot))?;
+        let side_m = Millimetres(self.settings.resolution.0.max(1)).metres();
+        // The casts saturate.
+        let [column, row] = [goal.x, goal.y].map(|metres| (metres / side_m).floor() as i32);
+        if self.floor.as_ref().is_some_and(|floor| !floor.allows(column, row)) {
+            return Err(GoalError::OutsideFloor);
+        }
         let ground = self.ground.as_ref().ok_or(GoalError::OutsideMap)?;
         let at = ground.at(goal).ok_or(GoalError::OutsideMap)?;
         if ground.is_unknown(at) {
@@ -210,7 +225,8 @@ impl Coordinator {
         });
         let trodden: Vec<Disc> = trodden.collect();
         let Situation { fused, coverage, .. } = situation;
-        self.ground = Ground::survey(fused, coverage, &trodden, &self.settings);
+        self.ground =
+            Ground::survey(fused, coverage, &trodden, self.floor.as_ref(), &self.settings);
         let Some(ground) = &self.ground else { return };
         // Routes are planned with some clearance, but kept until an obstacle is within the
         // robot's own radius.

@@ -6,7 +6,7 @@ use ubimap_protocol::{
     units::Millimetres,
 };
 
-use super::settings::Settings;
+use super::{drivable::DrivableFloor, settings::Settings};
 use crate::mapping::ServedLayer;
 
 /// A position in `map`, in metres.
@@ -38,11 +38,13 @@ pub(super) struct Ground {
 
 impl Ground {
     /// Builds the ground from the map and the coverage. Unknown cells in `trodden`, the discs where
-    /// robots stand, are passable. `None` while no tile is known. Cost: 0.03 microseconds per cell.
+    /// robots stand, are passable; cells that `floor` does not allow are walls, whatever is there.
+    /// `None` while no tile is known. Cost: 0.03 microseconds per cell.
     pub(super) fn survey(
         fused: &ServedLayer,
         coverage: &ServedLayer,
         trodden: &[Disc],
+        floor: Option<&DrivableFloor>,
         settings: &Settings,
     ) -> Option<Self> {
         let side_m = Millimetres(settings.resolution.0.max(1)).metres();
@@ -51,7 +53,8 @@ impl Ground {
         for id in extent.tiles() {
             ground.draw(id, fused, coverage);
         }
-        ground.measure(trodden, settings.survey.edge_cells);
+        let barred = floor.map(|floor| ground.bar(&extent, floor)).unwrap_or_default();
+        ground.measure(trodden, &barred, settings.survey.edge_cells);
         Some(ground)
     }
 
@@ -71,14 +74,19 @@ impl Ground {
         }
     }
 
+    /// The index of the first cell of a tile.
+    fn corner(&self, id: TileId) -> usize {
+        let (x, y) = id.first_cell();
+        (y - self.first.1) as usize * self.width + (x - self.first.0) as usize
+    }
+
     /// Copies a tile of the map and of the coverage.
     fn draw(&mut self, id: TileId, fused: &ServedLayer, coverage: &ServedLayer) {
         let (known, covered) = (fused.get(id), coverage.get(id));
         if known.is_none() && covered.is_none() {
             return;
         }
-        let (x, y) = id.first_cell();
-        let corner = (y - self.first.1) as usize * self.width + (x - self.first.0) as usize;
+        let corner = self.corner(id);
         for y in 0..TILE_SIDE {
             for x in 0..TILE_SIDE {
                 let at = corner + y * self.width + x;
@@ -90,9 +98,24 @@ impl Ground {
         }
     }
 
+    /// The cells that robots may not use. Nothing is to be found there, so they are not blind.
+    fn bar(&mut self, extent: &Extent, floor: &DrivableFloor) -> Vec<bool> {
+        let mut barred = vec![false; self.len()];
+        for id in extent.tiles() {
+            let corner = self.corner(id);
+            for (y, open) in floor.rows(id).into_iter().enumerate() {
+                for x in (0..TILE_SIDE).filter(|x| open >> x & 1 == 0) {
+                    let at = corner + y * self.width + x;
+                    (barred[at], self.blind[at]) = (true, false);
+                }
+            }
+        }
+        barred
+    }
+
     /// Computes the distances to walls and to movable cells. Unknown cells more than `edge_cells`
     /// from free ones count as walls.
-    fn measure(&mut self, trodden: &[Disc], edge_cells: u32) {
+    fn measure(&mut self, trodden: &[Disc], barred: &[bool], edge_cells: u32) {
         let is_free: Vec<bool> = self.cells.iter().map(|it| *it == Cell::Free).collect();
         let is_wall = |(cell, to_free)| match cell {
             Cell::Unknown => to_free > edge_cells * edge_cells,
@@ -102,6 +125,9 @@ impl Ground {
         let mut is_wall: Vec<bool> = self.cells.iter().copied().zip(to_free).map(is_wall).collect();
         for disc in trodden {
             self.within(disc, |at| is_wall[at] &= self.cells[at] != Cell::Unknown);
+        }
+        for (is_wall, is_barred) in is_wall.iter_mut().zip(barred) {
+            *is_wall |= is_barred;
         }
         // The border stays impassable, so that searches need no bounds check.
         for (at, is_wall) in is_wall.iter_mut().enumerate() {
@@ -320,7 +346,7 @@ mod tests {
     #[test]
     fn positions_and_cells_agree() {
         let fused = layer(|x, y| if x == y { Cell::Occupied } else { Cell::Free });
-        let ground = Ground::survey(&fused, &fused, &[], &Settings::default()).unwrap();
+        let ground = Ground::survey(&fused, &fused, &[], None, &Settings::default()).unwrap();
         for (x, y) in [(-32, 0), (31, 31), (0, 0), (-1, 7)] {
             let place = Point::new((f64::from(x) + 0.5) * 0.05, (f64::from(y) + 0.5) * 0.05);
             let at = ground.at(place).unwrap();
@@ -337,7 +363,8 @@ mod tests {
         let fused = layer(|x, _| if x < 0 { Cell::Free } else { Cell::Unknown });
         let coverage = layer(|_, y| if y < 8 { Cell::Free } else { Cell::Unknown });
         let robot = Disc { centre: Point::new(0.5, 0.8), radius: 0.2 };
-        let ground = Ground::survey(&fused, &coverage, &[robot], &Settings::default()).unwrap();
+        let ground =
+            Ground::survey(&fused, &coverage, &[robot], None, &Settings::default()).unwrap();
         let at = |x, y| ground.at(Point::new(x, y)).unwrap();
         assert!(ground.is_blind(at(0.5, 0.8)) && !ground.is_blind(at(0.5, 0.2)));
         assert!(!ground.is_blind(at(-0.5, 0.8)));
@@ -350,7 +377,7 @@ mod tests {
         let mut tile = Tile::UNKNOWN;
         tile.set(0, 0, Cell::Free);
         fused.set(TileId { x: i16::MAX, y: i16::MIN }, tile);
-        let ground = Ground::survey(&fused, &fused, &[], &Settings::default()).unwrap();
+        let ground = Ground::survey(&fused, &fused, &[], None, &Settings::default()).unwrap();
         assert_eq!(ground.len(), 4 * 3 * usize::from(TILE_CELLS));
     }
 

@@ -4,6 +4,7 @@
 //! |---|---|---|
 //! | `settings` | | parameters, with the assumptions behind them |
 //! | `situation` | the server | the coordinator's input, and its notices |
+//! | `drivable` | the user | the floor that robots may use |
 //! | `ground` | the fused and the coverage layer | passable and blind ground |
 //! | `route` | the ground | cheapest routes |
 //! | `frontiers` | the ground | frontiers of unknown ground |
@@ -15,11 +16,14 @@
 //! | `coordinator` | all of these | commands, in ticks: |
 //! | `following` | | checks that robots follow their paths |
 //! | `exploration` | | distributes frontiers |
+//! | `errand` | | says what a robot is doing |
 //! | `routing` | | finds and grants routes |
 
 mod approach;
 mod assignment;
 mod coordinator;
+mod drivable;
+mod errand;
 mod evasion;
 mod exploration;
 mod following;
@@ -36,5 +40,7 @@ mod target;
 mod tests;
 
 pub use coordinator::Coordinator;
+pub use drivable::{Area, AreaError, DrivableFloor};
+pub use errand::Errand;
 pub use settings::Settings;
 pub use situation::{GoalError, Notice, Situation, Whereabouts};

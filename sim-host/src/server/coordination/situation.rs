@@ -46,14 +46,20 @@ pub enum GoalError {
     /// The robot's position is unknown.
     #[error("the position of robot {} is unknown; it must be seen by a camera or report its pose", .0.0)]
     UnknownRobot(RobotId),
+    /// The goal is outside of the floor that robots may use.
+    #[error("the goal is outside the floor that robots may use")]
+    OutsideFloor,
     /// The goal is outside of the map.
     #[error("the goal is outside the map")]
     OutsideMap,
     /// The goal is in unknown ground.
     #[error("the goal is in unknown ground; let a robot explore it first")]
     UnknownGround,
-    /// A wall or another obstacle is closer to the goal than the robot's radius plus clearance.
-    #[error("the goal is too close to a wall or another obstacle")]
+    /// A wall, another obstacle or the edge of the floor that robots may use is closer to the goal than the
+    /// robot's radius plus clearance.
+    #[error(
+        "the goal is too close to a wall, to another obstacle or to the edge of the robots' floor"
+    )]
     Occupied,
     /// Walls, closed doors or unknown ground surround the goal.
     #[error("there is no route to the goal")]

@@ -2,5 +2,6 @@
 
 mod exploration;
 mod floor;
+mod keeping;
 pub(super) mod plan;
 mod traffic;

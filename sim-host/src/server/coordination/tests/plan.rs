@@ -100,5 +100,5 @@ pub(in crate::server::coordination) fn drawn(
     let mut fused = ServedLayer::default();
     let seen = plan.places().filter(|it| !hides(middle(*it).x, middle(*it).y));
     set(&mut fused, seen.map(|it| (it, plan.cell(middle(it)))));
-    Ground::survey(&fused, &ServedLayer::default(), &[], &Settings::default()).unwrap()
+    Ground::survey(&fused, &ServedLayer::default(), &[], None, &Settings::default()).unwrap()
 }

@@ -1,0 +1,44 @@
+//! The state of a robot at a running server.
+
+use std::fmt;
+
+use serde::Serialize;
+
+/// The state of a robot at a running server.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ServedRobot {
+    /// The robot's number.
+    pub robot: u16,
+    /// Whether it has a session.
+    pub session: bool,
+    /// The port at which it was last heard.
+    pub port: Option<String>,
+    /// Seconds since bytes arrived at that port.
+    pub heard_s_ago: Option<f64>,
+    /// Its newest pose in `map`, from cameras or its own reports: x and y in metres, heading in degrees.
+    pub pose: Option<[f64; 3]>,
+    /// The age of that pose in seconds.
+    pub pose_s_ago: Option<f64>,
+    /// What it is doing, as a sentence that starts with the robot.
+    pub doing: String,
+}
+
+/// "robot 1: at 2.00 m, 3.00 m, 90 degrees, 0.1 s ago; drives to 4.00 m, 2.00 m; heard 0.2 s ago at udp:4000".
+impl fmt::Display for ServedRobot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "robot {}: ", self.robot)?;
+        match (self.pose, self.pose_s_ago) {
+            (Some([x, y, heading]), Some(age)) => {
+                write!(f, "at {x:.2} m, {y:.2} m, {heading:.0} degrees, {age:.1} s ago")?;
+            }
+            _ => write!(f, "never seen by a camera")?,
+        }
+        write!(f, "; {}", self.doing)?;
+        match (&self.port, self.heard_s_ago) {
+            (Some(port), Some(age)) => write!(f, "; heard {age:.1} s ago at {port}")?,
+            (Some(port), None) => write!(f, "; was at {port}")?,
+            (None, _) => write!(f, "; never heard")?,
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,57 @@
+//! What a robot is doing for the coordinator.
+
+use core::fmt;
+
+use ubimap_protocol::units::RobotId;
+
+use super::{coordinator::Coordinator, ground::Point};
+
+/// What a robot is doing for the coordinator. The text continues a sentence that starts with the robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Errand {
+    /// It has no goal, and may not explore.
+    Idle,
+    /// It may explore, and no ground is left that it could look at now.
+    Waits,
+    /// It drives to a goal in `map`, in metres.
+    Goal([f64; 2]),
+    /// There is no way to its goal at present.
+    NoWay([f64; 2]),
+    /// It drives to look at unknown ground there.
+    Looks([f64; 2]),
+    /// It stands because somebody is in its way to this place.
+    HeldUp([f64; 2]),
+}
+
+impl Coordinator {
+    /// What a robot is doing; `None` if its position was never known.
+    pub fn errand(&self, robot: RobotId) -> Option<Errand> {
+        let member = &self.members[self.index(robot).ok()?];
+        let place = |point: Point| [point.x, point.y];
+        let goal = member.goal.map(place);
+        let target = member.target.map(|target| place(target.frontier));
+        Some(match (goal, target) {
+            (Some(to), _) | (None, Some(to)) if member.held_up.is_some() => Errand::HeldUp(to),
+            (Some(goal), _) if member.is_told => Errand::NoWay(goal),
+            (Some(goal), _) => Errand::Goal(goal),
+            (None, Some(frontier)) => Errand::Looks(frontier),
+            (None, None) if member.explores => Errand::Waits,
+            (None, None) => Errand::Idle,
+        })
+    }
+}
+
+impl fmt::Display for Errand {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Idle => write!(f, "has nothing to do"),
+            Self::Waits => write!(f, "explores; finds nothing to look at now"),
+            Self::Goal([x, y]) => write!(f, "drives to {x:.2} m, {y:.2} m"),
+            Self::NoWay([x, y]) => write!(f, "has no way to {x:.2} m, {y:.2} m"),
+            Self::Looks([x, y]) => write!(f, "explores: looks at {x:.2} m, {y:.2} m"),
+            Self::HeldUp([x, y]) => {
+                write!(f, "somebody is in its way to {x:.2} m, {y:.2} m")
+            }
+        }
+    }
+}
