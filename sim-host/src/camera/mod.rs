@@ -10,6 +10,7 @@ mod depth_noise;
 mod error;
 mod frame;
 mod orientation;
+mod pixels;
 mod sender_clock;
 pub mod stream;
 mod thing;
@@ -27,6 +28,7 @@ pub use depth_noise::DepthNoise;
 pub use error::CalibrationError;
 pub use frame::{DepthImage, Frame, FrameSource, Picture};
 pub use orientation::Orientation;
+pub use pixels::PixelFormat;
 pub use sender_clock::SenderClock;
 pub use thing::{LAYERS, Thing};
 

@@ -35,7 +35,9 @@ pub use picture::{
 };
 pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
 pub use served_robot::ServedRobot;
-pub use serving::{EventSummary, PortSummary, ServeReport, ServedCamera, StateSummary};
+pub use serving::{
+    EventSummary, FrameDelays, PortSummary, ServeReport, ServedCamera, StateSummary,
+};
 pub use summary::{
     CalibrationErrors, DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report,
     RobotSummary, TruthScores,

@@ -23,6 +23,8 @@ pub struct ServeReport {
     pub ports: Vec<PortSummary>,
     /// Each camera, in the order of the deployment's file.
     pub cameras: Vec<ServedCamera>,
+    /// How long frames took, if any was looked at.
+    pub delays: Option<FrameDelays>,
     /// The movements of cameras that were noticed, in order of time.
     pub camera_moves: Vec<CameraMove>,
     /// The map, if a deployment's file is served.
@@ -33,6 +35,33 @@ pub struct ServeReport {
     pub elapsed_s: f64,
     /// The server's time in seconds: that of all poses and events here. It goes on from a stored map's.
     pub time_s: f64,
+}
+
+/// The delays from the arrival of a frame until what was seen in it has been sent to the robots, in
+/// milliseconds, rounded up; those above a second count as a second. Skipped frames have none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct FrameDelays {
+    /// Number of frames.
+    pub frames: u64,
+    /// Half of the frames did not take longer.
+    pub median_ms: u64,
+    /// 90 % did not take longer.
+    pub p90_ms: u64,
+    /// 99 % did not take longer.
+    pub p99_ms: u64,
+    /// The longest delay.
+    pub most_ms: u64,
+}
+
+impl fmt::Display for FrameDelays {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { median_ms, p90_ms, p99_ms, most_ms, .. } = self;
+        write!(
+            f,
+            "from a frame to its messages {median_ms} ms (median), {p90_ms} ms (90 %), {p99_ms} ms (99 %), \
+             {most_ms} ms (most)"
+        )
+    }
 }
 
 /// Results of one port.
@@ -73,6 +102,10 @@ pub struct ServedCamera {
     pub frames: u64,
     /// Frames that were replaced by newer ones, because perception was busy.
     pub skipped: u64,
+    /// Frames that were captured before one that had arrived already.
+    pub out_of_order: u64,
+    /// The time from the capture of the last frame to its arrival, in milliseconds.
+    pub age_ms: f64,
     /// Frames in which robots were looked for.
     pub observations: u64,
     /// Frames of which cells were reported.
@@ -191,6 +224,9 @@ impl fmt::Display for ServeReport {
             for event in &port.newest_events {
                 writeln!(f, "        {:.1} s: {}", event.received_s, event.what)?;
             }
+        }
+        if let Some(delays) = &self.delays {
+            writeln!(f, "{delays}")?;
         }
         if let Some(map) = &self.map {
             let area = |cells: u64| cells as f64 * map.resolution_m * map.resolution_m;

@@ -98,6 +98,13 @@ pub enum CameraSource {
     UnixStream(PathBuf),
     /// A TCP socket at which a sender connects.
     TcpStream(std::net::SocketAddr),
+    /// Video4Linux devices, at least one of the two.
+    V4l2 {
+        /// The device of the depth images.
+        depth: Option<PathBuf>,
+        /// The device of the pictures.
+        picture: Option<PathBuf>,
+    },
 }
 
 #[derive(Deserialize)]
@@ -155,6 +162,7 @@ struct CameraKeys {
     #[serde(default)]
     name: String,
     source: String,
+    picture_source: Option<String>,
     depth: Option<IntrinsicsFile>,
     picture: Option<IntrinsicsFile>,
     #[serde(default)]
@@ -162,9 +170,10 @@ struct CameraKeys {
 }
 
 /// All keys of a camera; the last line are those that `place` writes for scenarios.
-const CAMERA_KEYS: [&str; 16] = [
+const CAMERA_KEYS: [&str; 17] = [
     "name",
     "source",
+    "picture_source",
     "depth",
     "picture",
     "picture_offset_m",
@@ -280,9 +289,9 @@ fn camera(
     }
     let one_line = |error: toml::de::Error| error.message().lines().collect::<Vec<_>>().join(" ");
     let stated: CameraKeys = keys.clone().try_into().map_err(one_line)?;
-    let name = match stated.name {
-        name if name.is_empty() => format!("camera-{index:02}"),
-        name => name,
+    let name = match stated.name.as_str() {
+        "" => format!("camera-{index:02}"),
+        name => name.to_owned(),
     };
     let own = match keys.contains_key("position_m") {
         true => {
@@ -293,7 +302,7 @@ fn camera(
         false => None,
     };
     let pose = poses.named(&name).and_then(MountedCamera::pose).or(own);
-    let source = source(&stated.source, beside)?;
+    let source = source(&stated, beside)?;
     let (calibration, recorded) = match &source {
         CameraSource::Folder(folder) => recorded(folder)?,
         _ => {
@@ -334,17 +343,57 @@ fn playback(
     }
 }
 
-fn source(text: &str, beside: &Path) -> Result<CameraSource, String> {
-    match text.split_once(':') {
-        Some(("folder", folder)) => Ok(CameraSource::Folder(beside.join(folder))),
-        Some(("stream", at)) => Ok(match format!("tcp:{at}").parse() {
+fn source(keys: &CameraKeys, beside: &Path) -> Result<CameraSource, String> {
+    let text = &keys.source;
+    let (kind, at) = text.split_once(':').unwrap_or_default();
+    if keys.picture_source.is_some() && kind != "v4l2" {
+        return Err(
+            "picture_source: only a v4l2 source has one; other frames have both images".into()
+        );
+    }
+    match kind {
+        "folder" => Ok(CameraSource::Folder(beside.join(at))),
+        "stream" => Ok(match format!("tcp:{at}").parse() {
             Ok(Address::Tcp(address)) => CameraSource::TcpStream(address),
             _ => CameraSource::UnixStream(beside.join(at)),
         }),
+        "v4l2" => devices(keys, at, beside),
         _ => Err(format!(
-            "source: {text:?} is none; give folder:DIR, stream:SOCKET (a path) or stream:HOST:PORT"
+            "source: {text:?} is none; give folder:DIR, stream:SOCKET (a path), stream:HOST:PORT or \
+             v4l2:DEVICE"
         )),
     }
+}
+
+/// The Video4Linux devices of a camera.
+fn devices(keys: &CameraKeys, source: &str, beside: &Path) -> Result<CameraSource, String> {
+    let device = |path: &str| match path {
+        "" => Err("source: v4l2 needs a device, such as v4l2:/dev/video0".to_owned()),
+        path if path.contains('\0') => Err("source: a device has no NUL in its name".to_owned()),
+        path => Ok(beside.join(path)),
+    };
+    let source = device(source)?;
+    let other = keys.picture_source.as_deref().map(|text| match text.split_once(':') {
+        Some(("v4l2", path)) => device(path),
+        _ => Err(format!("picture_source: {text:?} is none; give v4l2:DEVICE")),
+    });
+    let (depth, picture) = match (&keys.depth, &keys.picture, other.transpose()?) {
+        (Some(_), Some(_), Some(other)) => (Some(source), Some(other)),
+        (Some(_), Some(_), None) => {
+            return Err(
+                "picture: needs the device of the pictures, picture_source = \"v4l2:DEVICE\""
+                    .into(),
+            );
+        }
+        (_, _, Some(_)) => {
+            return Err(
+                "picture_source: needs the intrinsics of both images, depth and picture".into()
+            );
+        }
+        (None, Some(_), None) => (None, Some(source)),
+        (_, None, None) => (Some(source), None),
+    };
+    Ok(CameraSource::V4l2 { depth, picture })
 }
 
 /// The calibration of a recorded camera, and its pose, if the folder states one.

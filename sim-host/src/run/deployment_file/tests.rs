@@ -164,6 +164,18 @@ fn robots_and_cameras_files_are_parts_of_a_deployment() {
 }
 
 #[test]
+fn a_camera_has_one_device_or_two() {
+    let path = |path: &str| Some(PathBuf::from(path));
+    let two = "\"v4l2:/dev/video2\"\npicture_source = \"v4l2:/dev/video4\"";
+    let file = parse(&EXAMPLE.replace("\"stream:north.sock\"", two)).unwrap();
+    let expected = CameraSource::V4l2 { depth: path("/dev/video2"), picture: path("/dev/video4") };
+    assert_eq!(file.cameras[0].source, expected);
+    let file = parse(&EXAMPLE.replace("stream:south.sock", "v4l2:/dev/video2")).unwrap();
+    let expected = CameraSource::V4l2 { depth: path("/dev/video2"), picture: None };
+    assert_eq!(file.cameras[1].source, expected);
+}
+
+#[test]
 fn errors_name_the_place_and_the_remedy() {
     for (from, to, told) in [
         ("ports =", "prts =", "unknown field `prts`"),
@@ -172,6 +184,10 @@ fn errors_name_the_place_and_the_remedy() {
         ("stream:north.sock", "north.sock", "give folder:DIR, stream:SOCKET"),
         ("2.8]", "-2.8]", "its height above the floor must be"),
         ("\"south\"", "\"north\"", "two cameras are named \"north\""),
+        ("stream:north.sock", "v4l2:", "source: v4l2 needs a device"),
+        ("stream:north.sock", "v4l2:/dev/video0", "picture: needs the device of the pictures"),
+        ("\"stream:south.sock\"", "\"v4l2:x\"\npicture_source = \"v4l2:y\"", "intrinsics of both"),
+        ("\"stream:south.sock\"", "\"stream:x\"\npicture_source = \"v4l2:y\"", "only a v4l2"),
         ("[\"udp:4000\"]", "[\"udp:x\"]", "ports: udp:x: not an address"),
         ("id = 2", "id = 1", "robot 1 is registered twice"),
         ("0.05", "0.0505", "resolution_m: must be whole millimetres"),

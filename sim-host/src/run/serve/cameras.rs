@@ -34,8 +34,14 @@ pub(super) struct CameraState {
     pub(super) frames: u64,
     /// Frames that were replaced by newer ones before anybody looked at them.
     pub(super) skipped: u64,
+    /// Frames that were captured before one that has arrived already.
+    pub(super) out_of_order: u64,
     /// When the last one arrived.
     pub(super) last: Option<Instant>,
+    /// The time from its capture to its arrival.
+    pub(super) age: Duration,
+    /// The capture times of the newest picture and the newest depth image.
+    captured: [Instant; 2],
     /// The sender's clock.
     pub(super) clock: Option<SenderClock>,
 }
@@ -111,7 +117,10 @@ impl Cameras {
         let Shelf { waiting, states } = &mut *shelf;
         let Some(state) = states.get_mut(place.camera) else { return };
         state.frames += 1;
-        state.last = Some(at);
+        let newest = &mut state.captured[usize::from(place.has_depth)];
+        state.out_of_order += u64::from(frame.captured < *newest);
+        *newest = frame.captured.max(*newest);
+        (state.last, state.age) = (Some(at), at.since(frame.captured));
         state.clock = sender.or(state.clock);
         let arrived = Arrived { frame, at };
         match waiting.iter_mut().find(|waiting| fills(waiting)) {

@@ -22,8 +22,8 @@ use crate::{
     grid::{self, OccupancyGrid, Scores},
     mapping::ServedLayer,
     report::{
-        self, Against, Caption, HexDigest, Marker, MarkerKind, OutputFolder, SeenMap, ServeReport,
-        ServedCamera,
+        self, Against, Caption, FrameDelays, HexDigest, Marker, MarkerKind, OutputFolder, SeenMap,
+        ServeReport, ServedCamera,
     },
     run::{Outcome, RunError, deployment_file::DeployedCamera, markers},
 };
@@ -50,16 +50,19 @@ impl Delays {
         self.counts[millis.min(LONGEST_MS)] += 1;
     }
 
-    /// The delay in milliseconds that 99 % of the frames did not exceed.
-    fn p99_ms(&self) -> Option<u64> {
-        let all: u64 = self.counts.iter().sum();
-        let mut sum = 0;
-        let reaches = |count: &u64| {
-            sum += count;
-            sum * 100 >= all * 99
+    /// The distribution; `None` if there are no delays.
+    pub(super) fn summary(&self) -> Option<FrameDelays> {
+        let frames: u64 = self.counts.iter().sum();
+        let of = |percent: u64| {
+            let mut sum = 0;
+            let reaches = |count: &u64| {
+                sum += count;
+                sum * 100 >= frames * percent
+            };
+            self.counts.iter().position(reaches).map(|millis| millis as u64)
         };
-        let found = self.counts.iter().position(reaches);
-        found.filter(|_| all > 0).map(|millis| millis as u64)
+        let (median_ms, p90_ms, p99_ms, most_ms) = (of(50)?, of(90)?, of(99)?, of(100)?);
+        (frames > 0).then_some(FrameDelays { frames, median_ms, p90_ms, p99_ms, most_ms })
     }
 }
 
@@ -83,6 +86,8 @@ pub(super) fn cameras(
             has_pose: camera.is_placed,
             frames: state.frames,
             skipped: state.skipped,
+            out_of_order: state.out_of_order,
+            age_ms: state.age.micros() as f64 / 1e3,
             observations: observed.observations,
             looks: observed.looks,
             knocked: standings.is_knocked(index),
@@ -237,15 +242,19 @@ impl Writer {
 }
 
 /// One line about the state, for the log.
-pub(super) fn summary(report: &ServeReport, delays: &Delays, known_m2: f64) -> String {
+pub(super) fn summary(report: &ServeReport, known_m2: f64) -> String {
     let robots = report.ports.iter().filter(|port| port.session).count();
     let there = report.cameras.iter().filter(|camera| !camera.away && !camera.knocked).count();
     let skipped: u64 = report.cameras.iter().map(|camera| camera.skipped).sum();
     let frames: u64 = report.cameras.iter().map(|camera| camera.frames).sum();
-    let delay = delays.p99_ms().map_or(String::new(), |ms| format!("; 99 % within {ms} ms"));
+    let delays = report.delays.map_or(String::new(), |delays| format!("; {delays}"));
+    let slow = match skipped * 10 > frames {
+        true => "; perception can't keep up with the cameras: give them fewer frames or pixels",
+        false => "",
+    };
     format!(
         "{robots} robots, {there} of {} cameras, {known_m2:.1} m2 known; {frames} frames, {skipped} \
-         skipped{delay}",
+         skipped{delays}{slow}",
         report.cameras.len(),
     )
 }
@@ -255,14 +264,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_99th_percentile_of_delays() {
+    fn the_distribution_of_delays() {
         let mut delays = Delays::default();
-        assert_eq!(delays.p99_ms(), None);
+        assert_eq!(delays.summary(), None);
         (1..=98).for_each(|_| delays.add(Duration::from_micros(4_001)));
         delays.add(Duration::from_millis(80));
         delays.add(Duration::from_secs(60));
-        assert_eq!(delays.p99_ms(), Some(80));
+        let summary = delays.summary().unwrap();
+        assert_eq!((summary.frames, summary.median_ms, summary.p90_ms), (100, 5, 5));
+        assert_eq!((summary.p99_ms, summary.most_ms), (80, 1_000));
         (0..2).for_each(|_| delays.add(Duration::from_secs(60)));
-        assert_eq!(delays.p99_ms(), Some(1_000));
+        assert_eq!(delays.summary().unwrap().p99_ms, 1_000);
     }
 }

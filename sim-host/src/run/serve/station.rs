@@ -405,6 +405,10 @@ impl Station {
             robots: robots::robots(deployment, links, registered, stopped, now),
             ports: self.links.iter().map(summary).collect(),
             cameras,
+            delays: match &self.eyes {
+                Eyes::Bench(_) => None,
+                Eyes::Cameras(watch) => watch.delays.summary(),
+            },
             camera_moves: figures::camera_moves(&self.deployment),
             map: None,
             plan: None,
@@ -430,11 +434,7 @@ impl Station {
 
     /// One line about the results.
     pub(super) fn summary(&self, snapshot: &Snapshot) -> String {
-        let delays = match &self.eyes {
-            Eyes::Bench(_) => &Delays::default(),
-            Eyes::Cameras(watch) => &watch.delays,
-        };
-        results::summary(&snapshot.report, delays, snapshot.known_m2())
+        results::summary(&snapshot.report, snapshot.known_m2())
     }
 }
 

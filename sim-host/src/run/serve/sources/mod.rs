@@ -2,12 +2,16 @@
 
 mod recording;
 mod stream;
+#[cfg(target_os = "linux")]
+mod v4l2;
+
+use std::path::Path;
 
 use ubimap_protocol::time::Instant;
 
 use super::clock::Clock;
 use crate::{
-    camera::{Frame, SenderClock},
+    camera::{Calibration, Frame, SenderClock},
     channel::wire::WireError,
     run::deployment_file::{CameraSource, DeployedCamera},
 };
@@ -43,7 +47,7 @@ pub(super) fn open(
 ) -> Result<Vec<Box<dyn LiveSource>>, WireError> {
     let mut sources: Vec<Box<dyn LiveSource>> = Vec::new();
     let mut folders = Vec::new();
-    for (index, DeployedCamera { name, source, .. }) in cameras.iter().enumerate() {
+    for (index, DeployedCamera { name, source, calibration, .. }) in cameras.iter().enumerate() {
         match source {
             CameraSource::Folder(folder) => folders.push((index, folder.clone())),
             CameraSource::TcpStream(address) => {
@@ -52,10 +56,51 @@ pub(super) fn open(
             CameraSource::UnixStream(path) => {
                 sources.push(Box::new(stream::unix(index, name, path)?));
             }
+            CameraSource::V4l2 { depth, picture } => {
+                sources.extend(v4l2(
+                    index,
+                    name,
+                    [depth.as_deref(), picture.as_deref()],
+                    calibration,
+                )?);
+            }
         }
     }
     if !folders.is_empty() {
         sources.push(Box::new(recording::Player::open(folders, every_frame)?));
     }
     Ok(sources)
+}
+
+/// The devices of a camera, for depth and pictures.
+#[cfg(target_os = "linux")]
+fn v4l2(
+    camera: usize,
+    name: &str,
+    [depth, picture]: [Option<&Path>; 2],
+    calibration: &Calibration,
+) -> Result<Vec<Box<dyn LiveSource>>, WireError> {
+    let mut sources: Vec<Box<dyn LiveSource>> = Vec::new();
+    for (path, lens, images) in [
+        (depth, calibration.depth, v4l2::Images::Depth),
+        (picture, calibration.picture, v4l2::Images::Pictures),
+    ] {
+        if let (Some(path), Some(lens)) = (path, lens) {
+            let crate::camera::Intrinsics { width, height, .. } = *lens.intrinsics();
+            let device = v4l2::Camera::open(camera, name, path, images, (width, height))?;
+            sources.push(Box::new(device));
+        }
+    }
+    Ok(sources)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn v4l2(
+    _: usize,
+    name: &str,
+    _: [Option<&Path>; 2],
+    _: &Calibration,
+) -> Result<Vec<Box<dyn LiveSource>>, WireError> {
+    let reason = "v4l2 is for Linux; give stream:HOST:PORT".to_owned();
+    Err(WireError::Open { name: format!("camera {name}"), reason })
 }
