@@ -89,7 +89,7 @@ enum Command {
     Compare(CompareOptions),
     /// Check another implementation of the protocol, robot or server, against SPEC.md
     ///
-    /// Takes some seven minutes. To a robot the runner is a server with cells of 50 mm, which sends fixes near x = y = 1 m:
+    /// Takes some seven minutes. To a robot the runner is a server with cells of 50 mm, which sends fixes near x = -1 m, y = 1 m:
     /// there the robot should draw within seconds, and its map should change every few seconds; otherwise checks of
     /// tiles are skipped.
     Conformance(ConformanceOptions),

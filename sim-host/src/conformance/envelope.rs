@@ -14,9 +14,27 @@ use ubimap_protocol::{
 
 use super::frames::{Frame, Note, Unreadable, payload, stuffed};
 
-/// How frames are sealed.
+/// The keys of a link.
+#[derive(Clone, Debug, Default)]
+pub enum Keys {
+    /// The link is open.
+    #[default]
+    None,
+    /// Frames are sealed with the key of a robot.
+    Of {
+        /// The robots with their keys. To a server the runner is the first of them.
+        keys: Vec<(RobotId, Key)>,
+        /// The salt of the first answer: must never have been used with these keys.
+        salt: u64,
+        /// The boot of the runner as a robot: higher than all before.
+        boot: u32,
+    },
+}
+
+/// How frames are sealed. It opens whatever was sealed with the right key, however old, and leaves it to its user
+/// what to think of that.
 #[derive(Debug, Default)]
-pub(super) enum Envelope {
+pub enum Envelope {
     /// By checksums.
     #[default]
     Open,
@@ -26,7 +44,7 @@ pub(super) enum Envelope {
 
 /// The keys, and what sealing remembers.
 #[derive(Debug)]
-pub(super) struct Keyed {
+pub struct Keyed {
     keys: BTreeMap<RobotId, Key>,
     robot: RobotId,
     /// The attempt of each Hello, by its nonce.
@@ -222,8 +240,16 @@ impl Keyed {
 }
 
 impl Envelope {
+    /// The envelope for these keys.
+    pub fn new(keys: &Keys) -> Self {
+        match keys {
+            Keys::None => Self::Open,
+            Keys::Of { keys, salt, boot } => Self::Keyed(Box::new(Keyed::new(keys, *salt, *boot))),
+        }
+    }
+
     /// The bytes of a frame on the wire. Sealing the same frame twice gives different bytes.
-    pub(super) fn wire(&mut self, frame: &Frame) -> Vec<u8> {
+    pub fn wire(&mut self, frame: &Frame) -> Vec<u8> {
         match self {
             Self::Open => frame.wire(),
             // What can't be sealed goes out with a checksum.
@@ -232,7 +258,10 @@ impl Envelope {
     }
 
     /// Reads the contents of a frame of the session or outside of it.
-    pub(super) fn read(
+    ///
+    /// # Errors
+    /// [`Unreadable`].
+    pub fn read(
         &mut self,
         contents: &[u8],
         direction: Direction,

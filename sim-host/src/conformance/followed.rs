@@ -1,6 +1,6 @@
 //! What the peer has published: its tiles as a receiver holds them, and every update.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, rc::Rc};
 
 use ubimap_protocol::{
     message::TileUpdateHead,
@@ -8,11 +8,24 @@ use ubimap_protocol::{
         Applied, Epoch, Layer, Replica, Stamp, TILE_CELLS, TileDecoder, TileHeader, TileId,
         tile_hash,
     },
+    time::Instant,
 };
+
+use super::frames::Frame;
+
+/// A frame of the peer.
+#[derive(Clone, Debug)]
+pub(super) struct Carrier {
+    pub(super) at: Instant,
+    pub(super) wire: Vec<u8>,
+    pub(super) frame: Frame,
+}
 
 /// A tile in an update.
 #[derive(Clone, Debug)]
 pub(super) struct Update {
+    /// The frame that it came in.
+    pub(super) carrier: Rc<Carrier>,
     pub(super) layer: Layer,
     pub(super) header: TileHeader,
     /// The stamp that was held before.
@@ -39,20 +52,22 @@ pub(super) struct Followed {
     /// The hash of each complete state.
     hashes: BTreeMap<(u8, TileId, Stamp), u32>,
     pub(super) updates: Vec<Update>,
-    /// Updates that can't be read, each with the reason.
-    pub(super) unread: Vec<String>,
+    /// Updates that can't be read, each with the reason and its frame.
+    pub(super) unread: Vec<(String, Rc<Carrier>)>,
 }
 
 impl Followed {
     /// Applies an update.
-    pub(super) fn take(&mut self, (head, coded): (TileUpdateHead, &[u8])) {
+    pub(super) fn take(&mut self, (head, coded): (TileUpdateHead, &[u8]), carrier: &Rc<Carrier>) {
         let TileUpdateHead { layer, .. } = head;
         let mut decoder = TileDecoder::new(coded);
         loop {
             let header = match decoder.header() {
                 Ok(Some(header)) => header,
                 Ok(None) => return,
-                Err(error) => return self.unread.push(error.to_string()),
+                Err(error) => {
+                    return self.unread.push((error.to_string(), Rc::clone(carrier)));
+                }
             };
             let held = self.tiles.entry((layer as u8, header.id, header.stamp.epoch)).or_default();
             let before = held.stamp();
@@ -61,7 +76,8 @@ impl Followed {
                 let hash = tile_hash(held.tile());
                 self.hashes.insert((layer as u8, header.id, header.stamp), hash);
             }
-            self.updates.push(Update { layer, header, held: before, applied });
+            let carrier = Rc::clone(carrier);
+            self.updates.push(Update { carrier, layer, header, held: before, applied });
             if applied.is_none() {
                 return;
             }

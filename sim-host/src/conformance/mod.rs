@@ -16,41 +16,23 @@ mod envelope;
 mod followed;
 mod frames;
 mod halt;
+mod published;
 mod report;
+mod requests;
 mod robot_side;
 mod server_side;
 mod sides;
 mod talk;
 
-use ubimap_protocol::{frame::Key, units::RobotId};
-
-use self::envelope::{Envelope, Keyed};
-
 pub use bench::{Bench, Gone};
 pub use check::{Check, CheckResult, Verdict};
 pub use checks::checks;
 pub use describe::{Describer, hex, split};
+pub use envelope::{Envelope, Keyed, Keys};
 pub use frames::{Frame, Note, Unreadable, part_note, payload, stuffed, tile_note, unstuffed};
 pub use halt::{Halt, Role};
 pub use report::ConformanceReport;
 pub use talk::Talk;
-
-/// The keys of a link.
-#[derive(Clone, Debug, Default)]
-pub enum Keys {
-    /// The link is open.
-    #[default]
-    None,
-    /// Frames are sealed with the key of a robot.
-    Of {
-        /// The robots with their keys. To a server the runner is the first of them.
-        keys: Vec<(RobotId, Key)>,
-        /// The salt of the first answer: must never have been used with these keys.
-        salt: u64,
-        /// The boot of the runner as a robot: higher than all before.
-        boot: u32,
-    },
-}
 
 /// Runs the checks of a role whose numbers are in `only` (all if it is empty), and tells each result.
 pub fn run(
@@ -60,11 +42,7 @@ pub fn run(
     mut tell: impl FnMut(&CheckResult),
 ) -> ConformanceReport {
     let began = bench.now();
-    let envelope = match keys {
-        Keys::None => Envelope::Open,
-        Keys::Of { keys, salt, boot } => Envelope::Keyed(Box::new(Keyed::new(keys, *salt, *boot))),
-    };
-    let mut talk = Talk::new(bench, role, envelope);
+    let mut talk = Talk::new(bench, role, Envelope::new(keys));
     let mut results = Vec::new();
     let mut gone = false;
     for (number, check) in (1..).zip(checks(role)) {

@@ -217,10 +217,11 @@ impl Talk<'_> {
 
     /// Follows what the server publishes.
     pub(super) fn follow_server(&mut self, seen: &Seen) {
+        let Some(carrier) = seen.carrier() else { return };
         for note in &seen.notes {
             let message = Message::<ToRobot>::new(note.number, &note.body);
             if let Ok(update) = message.split::<TileUpdateHead>() {
-                self.robot.followed.take(update);
+                self.robot.followed.take(update, &carrier);
             }
         }
     }

@@ -24,8 +24,8 @@ const LONGEST_KNOCK: Duration = Duration::from_secs(12);
 const FIXES: Duration = Duration::from_millis(100);
 /// How old a fix is when it is sent.
 const FIX_AGE: Duration = Duration::from_millis(60);
-/// Where the robot stands, by the fixes.
-pub(super) const STANDS: (f64, f64) = (1.0, 1.0);
+/// Where the robot stands, by the fixes: to the west of the origin, where coordinates and tiles are negative.
+pub(super) const STANDS: (f64, f64) = (-1.0, 1.0);
 /// Time for a robot to send a tile.
 const TILE_TIME: Duration = Duration::from_secs(12);
 
@@ -124,11 +124,12 @@ impl Talk<'_> {
         if self.role == Role::Server {
             return self.follow_server(seen);
         }
+        let Some(carrier) = seen.carrier() else { return };
         for note in &seen.notes {
             let message = Message::<ToServer>::new(note.number, &note.body);
             if let Ok(update) = message.split::<TileUpdateHead>() {
                 let followed = &mut self.server.followed;
-                followed.take(update);
+                followed.take(update, &carrier);
                 let newest = followed.tiles.keys().map(|(_, _, epoch)| epoch.0 + 1).max();
                 self.server.first_epoch = self.server.first_epoch.max(newest.unwrap_or(1));
             }

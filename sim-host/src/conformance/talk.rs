@@ -1,6 +1,6 @@
 //! The runner's side of a link. It follows the protocol unless a check tells it not to.
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, rc::Rc};
 
 use ubimap_protocol::{
     frame::{
@@ -18,6 +18,7 @@ use super::{
     bench::Bench,
     describe::Describer,
     envelope::Envelope,
+    followed::Carrier,
     frames::{Frame, Note, Unreadable, unstuffed},
     halt::{Halt, Role, fail},
     sides::{RobotSide, ServerSide},
@@ -46,6 +47,12 @@ impl Seen {
     pub(super) fn reliable(&self) -> Option<u16> {
         let header = self.frame.as_ref().ok()?.header;
         (header.kind == FrameKind::Reliable).then_some(header.sequence)
+    }
+
+    /// The frame for what is kept of it; `None` if it can't be read.
+    pub(super) fn carrier(&self) -> Option<Rc<Carrier>> {
+        let frame = self.frame.clone().ok()?;
+        Some(Rc::new(Carrier { at: self.at, wire: self.wire.clone(), frame }))
     }
 
     /// Its messages with this body.
@@ -114,6 +121,8 @@ pub struct Talk<'b> {
     /// The acknowledgements of the session so far, with their times.
     pub(super) acks: Vec<(Instant, Ack)>,
     log: VecDeque<(Instant, Direction, Vec<u8>, Option<Frame>)>,
+    /// The frame that breaks the rule, if the check knows it.
+    at_fault: Option<Rc<Carrier>>,
     envelope: Envelope,
     sessions: Vec<SessionId>,
     /// Number of questions asked.
@@ -143,6 +152,7 @@ impl<'b> Talk<'b> {
             sequences: Vec::new(),
             acks: Vec::new(),
             log: VecDeque::new(),
+            at_fault: None,
             envelope,
             sessions: Vec::new(),
             asked: 0,
@@ -154,27 +164,57 @@ impl<'b> Talk<'b> {
     /// Prepares for the next check.
     pub(super) fn rest(&mut self) {
         self.log.clear();
+        self.at_fault = None;
         self.arrived.clear();
         self.is_polite = true;
         self.withholds = false;
     }
 
-    /// The last frames as text.
+    /// A failed check whose fault is in this frame.
+    pub(super) fn fail_in<T>(
+        &mut self,
+        carrier: &Rc<Carrier>,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) -> Result<T, Halt> {
+        self.at_fault = Some(Rc::clone(carrier));
+        fail(expected, found)
+    }
+
+    /// The last frames as text, after the one at fault if it is known.
     pub(super) fn shown(&self) -> Vec<String> {
         let mut lines = Vec::new();
+        if let Some(Carrier { at, wire, frame }) = self.at_fault.as_deref() {
+            lines.push("the frame at fault:".to_owned());
+            lines.extend(self.told(*at, self.inwards(), wire, Some(frame)));
+            lines.push("the last frames:".to_owned());
+        }
         let newest = self.log.iter().skip(self.log.len().saturating_sub(SHOWN));
         for (at, direction, wire, frame) in newest {
-            let mut describer = Describer::new(None, Some(*direction));
-            self.sessions.iter().for_each(|&session| describer.know(session));
-            let sent = if *direction == self.outwards() { "sent" } else { "got" };
-            let text = match frame {
-                Some(frame) => describer.read_frame(wire.len(), frame),
-                None => describer.frame(wire),
-            };
-            lines.push(format!("{:>9.3} s {sent:>4} {text}", at.micros() as f64 / 1e6));
-            lines.push(format!("{:>16} {}", "", super::describe::hex(wire)));
+            lines.extend(self.told(*at, *direction, wire, frame.as_ref()));
         }
         lines
+    }
+
+    /// A frame in words, and its bytes.
+    fn told(
+        &self,
+        at: Instant,
+        direction: Direction,
+        wire: &[u8],
+        frame: Option<&Frame>,
+    ) -> [String; 2] {
+        let mut describer = Describer::new(None, Some(direction));
+        self.sessions.iter().for_each(|&session| describer.know(session));
+        let sent = if direction == self.outwards() { "sent" } else { "got" };
+        let text = match frame {
+            Some(frame) => describer.read_frame(wire.len(), frame),
+            None => describer.frame(wire),
+        };
+        [
+            format!("{:>9.3} s {sent:>4} {text}", at.micros() as f64 / 1e6),
+            format!("{:>16} {}", "", super::describe::hex(wire)),
+        ]
     }
 
     pub(super) fn now(&self) -> Instant {

@@ -8,7 +8,7 @@ use ubimap_protocol::{
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
-use ubimap_sim_host::deployment::{Deployment, Policy, PortId};
+use ubimap_sim_host::deployment::{self, Deployment, Kept, Life, Policy, PortId};
 
 use super::virtual_bench::Peer;
 use crate::deployments::bare;
@@ -99,18 +99,27 @@ pub struct ServerPeer {
 
 impl Default for ServerPeer {
     fn default() -> Self {
-        Self::new(Policy::Open)
+        Self::new(Policy::Open, bare(Millimetres(50)))
     }
 }
 
 impl ServerPeer {
     /// A server with a keyed port.
     pub fn sealed() -> Self {
-        Self::new(Policy::Keyed)
+        Self::new(Policy::Keyed, bare(Millimetres(50)))
     }
 
-    fn new(policy: Policy) -> Self {
-        let mut deployment = bare(Millimetres(50));
+    /// A server whose records are on disk at once.
+    ///
+    /// # Panics
+    /// Never: there are no markers to confuse.
+    pub fn storing() -> Self {
+        let life = Life { kept: Some(Kept::default()), ..Life::default() };
+        let deployment = Deployment::new(deployment::Config::new(Millimetres(50)), life);
+        Self::new(Policy::Open, deployment.expect("there are no markers to confuse"))
+    }
+
+    fn new(policy: Policy, mut deployment: Deployment) -> Self {
         deployment.set_key(KEY.0, KEY.1);
         let port = deployment.open_port(policy);
         Self { deployment, port }
@@ -125,6 +134,9 @@ impl Peer for ServerPeer {
     }
 
     fn poll_transmit(&mut self, now: Instant) -> Option<Vec<u8>> {
+        while let Some(batch) = self.deployment.poll_store(now) {
+            self.deployment.stored(batch);
+        }
         let mut out = [0; MAX_FRAME];
         let (_, len) = self.deployment.poll_transmit(now, &mut out)?;
         Some(out[..len].to_vec())

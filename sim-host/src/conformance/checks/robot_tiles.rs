@@ -96,22 +96,18 @@ fn tiles(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.welcome_by_another_server(|_| ())?;
     talk.must_publish()?;
     talk.collect_with_fixes(Duration::from_secs(12))?;
-    let followed = &talk.server.followed;
-    if let Some(why) = followed.unread.first() {
-        return fail("updates that can be read", why.clone());
-    }
-    for Update { layer, header, applied, held } in &followed.updates {
-        if *layer != Layer::Robot {
-            return fail("updates of layer 0 alone", format!("{layer:?}"));
+    talk.must_be_readable("updates that can be read")?;
+    for Update { carrier, layer, header, applied, held } in talk.server.followed.updates.clone() {
+        if layer != Layer::Robot {
+            return talk.fail_in(&carrier, "updates of layer 0 alone", format!("{layer:?}"));
         }
         if header.stamp.version.0 == 0 || header.stamp.epoch.0 == 0 {
-            return fail("epochs and versions from 1 on", format!("{:?}", header.stamp));
+            let found = format!("{:?}", header.stamp);
+            return talk.fail_in(&carrier, "epochs and versions from 1 on", found);
         }
         if applied.is_none() {
-            return fail(
-                "a base that was acknowledged before",
-                format!("{header:?}, held {held:?}"),
-            );
+            let found = format!("{header:?}, held {held:?}");
+            return talk.fail_in(&carrier, "a base that was acknowledged before", found);
         }
     }
     Ok(())
@@ -126,13 +122,8 @@ fn first_epoch(talk: &mut Talk<'_>) -> Result<(), Halt> {
         welcome.renumber = true;
     })?;
     talk.must_publish()?;
-    match talk.server.followed.updates.iter().find(|it| it.header.stamp.epoch.0 < first) {
-        None => Ok(()),
-        Some(update) => fail(
-            format!("tiles in epochs from {first} on"),
-            format!("epoch {}", update.header.stamp.epoch.0),
-        ),
-    }
+    let expected = format!("tiles in epochs from {first} on");
+    talk.must_publish_none(expected, |it| it.header.stamp.epoch.0 < first)
 }
 
 fn published(talk: &Talk<'_>) -> BTreeSet<TileId> {
@@ -154,9 +145,7 @@ fn another_server(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.must_publish()?;
     talk.collect_with_fixes(Duration::from_secs(5))?;
     let after = published(talk);
-    if let Some(update) = talk.server.followed.updates.iter().find(|it| it.applied.is_none()) {
-        return fail("whole tiles for a server that has none", format!("{:?}", update.header));
-    }
+    talk.must_publish_none("whole tiles for a server that has none", |it| it.applied.is_none())?;
     match before.difference(&after).next() {
         None => Ok(()),
         Some(id) => fail(format!("tile {id:?} is sent again"), "it is not, within 5 s"),
@@ -172,13 +161,9 @@ fn one_in_flight(talk: &mut Talk<'_>) -> Result<(), Halt> {
         return skip("the robot published no tile within 14 s of fixes");
     }
     let mut ids = BTreeSet::new();
-    match updates.iter().find(|update| !ids.insert((update.header.id, update.header.stamp.epoch))) {
-        None => Ok(()),
-        Some(update) => fail(
-            "one update of a tile while nothing is acknowledged",
-            format!("{:?}", update.header),
-        ),
-    }
+    talk.must_publish_none("one update of a tile while nothing is acknowledged", |update| {
+        !ids.insert((update.header.id, update.header.stamp.epoch))
+    })
 }
 
 /// Waits for a whole update of a tile with an acknowledged one.
@@ -221,28 +206,15 @@ fn all_requested(talk: &mut Talk<'_>) -> Result<(), Halt> {
 fn digests(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.welcome_by_another_server(|_| ())?;
     talk.must_publish()?;
-    // A tile that changes just then is left out.
     let seen = talk.collect_with_fixes(Duration::from_secs(34))?;
-    let digests: Vec<Digests> =
-        seen.iter().flat_map(|it| it.bodies::<ToServer, Digests>()).collect();
-    if digests.is_empty() {
+    if !seen.iter().any(|it| it.bodies::<ToServer, Digests>().next().is_some()) {
         return fail("Digests within 34 s of the first acknowledged tile", "none");
     }
-    let mut compared = 0;
-    for &TileDigest { id, stamp, hash } in digests.iter().flat_map(|it| &it.tiles) {
-        let held = talk.server.followed.hash(Layer::Robot, id, stamp);
-        compared += usize::from(held.is_some());
-        if let Some(held) = held.filter(|&held| held != hash) {
-            return fail(
-                format!("the hash of tile {id:?} {stamp:?}: {held:08X}"),
-                format!("{hash:08X}"),
-            );
-        }
+    // A tile that changes just then is left out.
+    match talk.must_agree(&seen)? {
+        0 => fail("the Digest of a state that was sent", "Digests of other states alone"),
+        _ => Ok(()),
     }
-    if compared == 0 {
-        return fail("the Digest of a state that was sent", format!("{digests:?}"));
-    }
-    Ok(())
 }
 
 fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -257,18 +229,13 @@ fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
         if longest > usize::from(frame) {
             return fail(format!("frames of at most {frame} bytes"), format!("{longest} bytes"));
         }
-        if let Some(why) = talk.server.followed.unread.first() {
-            return fail(
-                format!("updates in frames of {frame} bytes that can be read"),
-                why.clone(),
-            );
-        }
+        talk.must_be_readable(format!("updates in frames of {frame} bytes that can be read"))?;
         if seen.iter().any(|it| it.is_cut) {
             return fail("whole messages in each frame", "one is cut short");
         }
-        if let Some(update) = talk.server.followed.updates.iter().find(|it| it.applied.is_none()) {
-            return fail("bases and parts that follow each other", format!("{update:?}"));
-        }
+        talk.must_publish_none("bases and parts that follow each other", |it| {
+            it.applied.is_none()
+        })?;
     }
     Ok(())
 }
@@ -283,28 +250,6 @@ fn with_window(talk: &mut Talk<'_>) -> Result<Interest, Halt> {
     match seen.iter().flat_map(|it| it.bodies::<ToServer, Interest>()).last() {
         Some(interest) => Ok(interest),
         None => skip("the robot sent no Interest within 8 s of fixes"),
-    }
-}
-
-/// Whether the robot requests a fused tile within a second.
-fn is_requested(talk: &mut Talk<'_>, id: TileId) -> Result<bool, Halt> {
-    let span = Duration::from_secs(1) + talk.slack();
-    let request = talk.find(span, |_, seen| {
-        let requests = seen.bodies::<ToServer, Request>();
-        requests
-            .filter(|it| it.layer == Layer::Fused)
-            .any(|it| it.tiles.is_empty() || it.tiles.contains(&id))
-    })?;
-    Ok(request.is_some())
-}
-
-fn must_request(talk: &mut Talk<'_>, id: TileId, wanted: bool, what: &str) -> Result<(), Halt> {
-    let found = is_requested(talk, id)?;
-    let word = |is: bool| if is { "a Request for the tile" } else { "no Request" };
-    if found == wanted {
-        Ok(())
-    } else {
-        fail(format!("after {what}: {}", word(wanted)), word(found))
     }
 }
 
@@ -328,7 +273,7 @@ fn send_tile(
 fn base_missing(talk: &mut Talk<'_>) -> Result<(), Halt> {
     let window = with_window(talk)?;
     send_tile(talk, window.from, 5, Some(4), &room(10))?;
-    must_request(talk, window.from, true, "an update on a base that the robot does not hold")
+    talk.must_request(window.from, true, "an update on a base that the robot does not hold")
 }
 
 fn digest_of(talk: &mut Talk<'_>, id: TileId, version: u32, hash: u32) -> Result<(), Halt> {
@@ -340,15 +285,15 @@ fn digest_differs(talk: &mut Talk<'_>) -> Result<(), Halt> {
     let window = with_window(talk)?;
     let (id, tile) = (window.from, room(9));
     send_tile(talk, id, 1, None, &tile)?;
-    must_request(talk, id, false, "a whole tile")?;
+    talk.must_request(id, false, "a whole tile")?;
     digest_of(talk, id, 1, tile_hash(&tile))?;
-    must_request(talk, id, false, "the right digest")?;
+    talk.must_request(id, false, "the right digest")?;
     send_tile(talk, id, 2, Some(1), &room(12))?;
-    must_request(talk, id, false, "an update on the version held")?;
+    talk.must_request(id, false, "an update on the version held")?;
     digest_of(talk, id, 2, tile_hash(&room(12)))?;
-    must_request(talk, id, false, "the right digest of the update")?;
+    talk.must_request(id, false, "the right digest of the update")?;
     digest_of(talk, id, 2, tile_hash(&room(12)) ^ 1)?;
-    must_request(talk, id, true, "a digest with another hash")
+    talk.must_request(id, true, "a digest with another hash")
 }
 
 fn parts(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -363,19 +308,19 @@ fn parts(talk: &mut Talk<'_>) -> Result<(), Halt> {
         start = end;
     }
     digest_of(talk, id, 1, tile_hash(&tile))?;
-    must_request(talk, id, false, "all parts of a tile, and its digest")?;
+    talk.must_request(id, false, "all parts of a tile, and its digest")?;
     let of = (id, stamp(talk, 2), None);
     let (_, end) = part_note::<ToRobot>(Layer::Fused, of, 0, (&Tile::UNKNOWN, &tile), 60);
     let (note, _) = part_note::<ToRobot>(Layer::Fused, of, end, (&Tile::UNKNOWN, &tile), 60);
     talk.reliable(&[note])?;
-    must_request(talk, id, true, "the second part of a state without the first")
+    talk.must_request(id, true, "the second part of a state without the first")
 }
 
 fn outside_window(talk: &mut Talk<'_>) -> Result<(), Halt> {
     let window = with_window(talk)?;
     let id = TileId { x: window.to.x.saturating_add(40), y: window.to.y };
     send_tile(talk, id, 1, None, &room(9))?;
-    must_request(talk, id, false, "a whole tile outside the window")?;
+    talk.must_request(id, false, "a whole tile outside the window")?;
     send_tile(talk, id, 2, Some(1), &room(10))?;
-    must_request(talk, id, true, "an update of a tile outside the window")
+    talk.must_request(id, true, "an update of a tile outside the window")
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use ubimap_protocol::{
-    message::{Digests, Request, TileDigest, ToRobot, ToServer},
+    message::{Digests, Request, Stored, TileDigest, ToRobot, ToServer},
     tile::{EPOCHS_AHEAD, Epoch, Layer, Stamp, Tile, TileId, Version, tile_hash},
     time::{Duration, Instant},
 };
@@ -20,6 +20,8 @@ use super::super::{
 const HERE: TileId = TileId { x: -600, y: -600 };
 /// Time for the server to fuse and publish what was drawn.
 const FUSE_TIME: Duration = Duration::from_secs(15);
+/// Time for the server to store what was drawn, and to say so.
+const STORE_TIME: Duration = Duration::from_secs(15);
 
 pub(super) const CHECKS: &[Check] = &[
     Check {
@@ -113,33 +115,18 @@ pub(super) const CHECKS: &[Check] = &[
         run: frame_size,
     },
     Check {
+        name: "stored",
+        section: "7.4",
+        rule: "with `stores`, a state on disk is named by Stored, and once more in each session that names it",
+        run: stored,
+    },
+    Check {
         name: "budget",
         section: "7.4",
         rule: "at most 2,000 bytes in any second, plus 2,000 when the session begins",
         run: budget,
     },
 ];
-
-fn is_requested(talk: &mut Talk<'_>, id: TileId) -> Result<bool, Halt> {
-    let span = Duration::from_millis(600) + talk.slack();
-    let request = talk.find(span, |_, seen| {
-        let requests = seen.bodies::<ToRobot, Request>();
-        requests
-            .filter(|it| it.layer == Layer::Robot)
-            .any(|it| it.tiles.is_empty() || it.tiles.contains(&id))
-    })?;
-    Ok(request.is_some())
-}
-
-fn must_request(talk: &mut Talk<'_>, id: TileId, wanted: bool, what: &str) -> Result<(), Halt> {
-    let found = is_requested(talk, id)?;
-    let word = |is: bool| if is { "a Request for the tile" } else { "no Request" };
-    if found == wanted {
-        Ok(())
-    } else {
-        fail(format!("after {what}: {}", word(wanted)), word(found))
-    }
-}
 
 /// A tile of its own for a check.
 fn ground(talk: &mut Talk<'_>) -> TileId {
@@ -172,33 +159,33 @@ fn base_missing(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.open()?;
     let id = ground(talk);
     send(talk, id, (5, Some(4)), &room(9), &room(10))?;
-    must_request(talk, id, true, "an update of a tile that the server does not hold")?;
+    talk.must_request(id, true, "an update of a tile that the server does not hold")?;
     let id = ground(talk);
     send(talk, id, (1, None), &Tile::UNKNOWN, &room(9))?;
     send(talk, id, (5, Some(4)), &room(9), &room(10))?;
-    must_request(talk, id, true, "an update on version 4 of a tile held in version 1")
+    talk.must_request(id, true, "an update on version 4 of a tile held in version 1")
 }
 
 fn update_on_base(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.open()?;
     let id = ground(talk);
     send(talk, id, (1, None), &Tile::UNKNOWN, &room(9))?;
-    must_request(talk, id, false, "a whole tile")?;
+    talk.must_request(id, false, "a whole tile")?;
     send(talk, id, (4, Some(1)), &room(9), &room(12))?;
-    must_request(talk, id, false, "an update on the version held")?;
+    talk.must_request(id, false, "an update on the version held")?;
     digest_of(talk, id, 4, tile_hash(&room(12)))?;
-    must_request(talk, id, false, "the digest of the update")
+    talk.must_request(id, false, "the digest of the update")
 }
 
 fn wrong_base(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.open()?;
     let id = ground(talk);
     send(talk, id, (1, None), &Tile::UNKNOWN, &room(9))?;
-    must_request(talk, id, false, "a whole tile")?;
+    talk.must_request(id, false, "a whole tile")?;
     send(talk, id, (2, Some(1)), &room(11), &room(12))?;
-    must_request(talk, id, true, "an update on other cells")?;
+    talk.must_request(id, true, "an update on other cells")?;
     digest_of(talk, id, 1, tile_hash(&room(9)))?;
-    must_request(talk, id, false, "the digest of the cells before it")
+    talk.must_request(id, false, "the digest of the cells before it")
 }
 
 fn old_update(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -206,9 +193,9 @@ fn old_update(talk: &mut Talk<'_>) -> Result<(), Halt> {
     let id = ground(talk);
     send(talk, id, (3, None), &Tile::UNKNOWN, &room(9))?;
     send(talk, id, (2, None), &Tile::UNKNOWN, &room(5))?;
-    must_request(talk, id, false, "an older whole tile")?;
+    talk.must_request(id, false, "an older whole tile")?;
     digest_of(talk, id, 3, tile_hash(&room(9)))?;
-    must_request(talk, id, false, "the digest of the newer one")
+    talk.must_request(id, false, "the digest of the newer one")
 }
 
 fn parts(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -223,28 +210,28 @@ fn parts(talk: &mut Talk<'_>) -> Result<(), Halt> {
         start = end;
     }
     digest_of(talk, id, 1, tile_hash(&tile))?;
-    must_request(talk, id, false, "all parts of a tile, and its digest")?;
+    talk.must_request(id, false, "all parts of a tile, and its digest")?;
     let of = (id, stamp(talk, 2), None);
     let (_, end) = part_note::<ToServer>(Layer::Robot, of, 0, (&Tile::UNKNOWN, &tile), 60);
     let (note, _) = part_note::<ToServer>(Layer::Robot, of, end, (&Tile::UNKNOWN, &tile), 60);
     talk.reliable(&[note])?;
-    must_request(talk, id, true, "the second part of a state without the first")
+    talk.must_request(id, true, "the second part of a state without the first")
 }
 
 fn digest_differs(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.open()?;
     let id = ground(talk);
     digest_of(talk, id, 2, tile_hash(&room(9)))?;
-    must_request(talk, id, true, "the digest of a tile that the server does not hold")?;
+    talk.must_request(id, true, "the digest of a tile that the server does not hold")?;
     send(talk, id, (2, None), &Tile::UNKNOWN, &room(9))?;
     digest_of(talk, id, 2, tile_hash(&room(9)))?;
-    must_request(talk, id, false, "the right digest")?;
+    talk.must_request(id, false, "the right digest")?;
     digest_of(talk, id, 1, tile_hash(&room(4)))?;
-    must_request(talk, id, false, "the digest of an older version")?;
+    talk.must_request(id, false, "the digest of an older version")?;
     digest_of(talk, id, 3, tile_hash(&room(9)))?;
-    must_request(talk, id, true, "the digest of a newer version")?;
+    talk.must_request(id, true, "the digest of a newer version")?;
     digest_of(talk, id, 2, tile_hash(&room(9)) ^ 1)?;
-    must_request(talk, id, true, "a digest with another hash")
+    talk.must_request(id, true, "a digest with another hash")
 }
 
 fn foreign_layer(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -279,7 +266,7 @@ fn epoch_bound(talk: &mut Talk<'_>) -> Result<(), Halt> {
         talk.reliable(&[note])?;
         let what =
             format!("an update on a missing base in epoch {epoch}, `first_epoch` being {first}");
-        must_request(talk, id, wanted, &what)?;
+        talk.must_request(id, wanted, &what)?;
     }
     Ok(())
 }
@@ -303,21 +290,13 @@ fn interest(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.draw(beside, &room(22))?;
     talk.robot.followed.clear();
     talk.wait(Duration::from_secs(12))?;
-    if let Some(update) = talk.robot.followed.updates.first() {
-        return fail(
-            "no tiles before the session's first Interest",
-            format!("{:?}", update.header),
-        );
-    }
+    talk.must_publish_none("no tiles before the session's first Interest", |_| true)?;
     talk.interest(HERE, HERE)?;
     if !talk.is_published(HERE, FUSE_TIME)? {
         return skip("the server publishes no fused tile of what the runner has drawn within 15 s");
     }
     talk.wait(Duration::from_secs(5))?;
-    match talk.robot.followed.updates.iter().find(|it| it.header.id != HERE) {
-        None => Ok(()),
-        Some(update) => fail(format!("tile {HERE:?} alone"), format!("{:?}", update.header)),
-    }
+    talk.must_publish_none(format!("tile {HERE:?} alone"), |it| it.header.id != HERE)
 }
 
 fn older_interest(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -335,12 +314,8 @@ fn older_interest(talk: &mut Talk<'_>) -> Result<(), Halt> {
     }
     // Its tiles would come within a second.
     talk.wait(Duration::from_secs(4))?;
-    match talk.robot.followed.updates.iter().find(|it| it.header.id == HERE) {
-        None => Ok(()),
-        Some(_) => {
-            fail("the window of the Interest with the higher number", "a tile of the lower one's")
-        }
-    }
+    let expected = "no tile of the window of the Interest with the lower number";
+    talk.must_publish_none(expected, |it| it.header.id == HERE)
 }
 
 fn tiles(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -351,20 +326,11 @@ fn tiles(talk: &mut Talk<'_>) -> Result<(), Halt> {
     }
     talk.wait(Duration::from_secs(12))?;
     let epoch = talk.server_epoch();
-    let followed = &talk.robot.followed;
-    if let Some(why) = followed.unread.first() {
-        return fail("updates that can be read", why.clone());
-    }
-    for update in &followed.updates {
-        if update.layer == Layer::Robot || update.header.stamp.epoch != epoch {
-            let found = format!("{:?} {:?}", update.layer, update.header);
-            return fail(format!("layers 1 and 2 in epoch {}", epoch.0), found);
-        }
-        if update.applied.is_none() {
-            return fail("a base that was acknowledged before", format!("{:?}", update.header));
-        }
-    }
-    Ok(())
+    talk.must_be_readable("updates that can be read")?;
+    talk.must_publish_none(format!("layers 1 and 2 in epoch {}", epoch.0), |it| {
+        it.layer == Layer::Robot || it.header.stamp.epoch != epoch
+    })?;
+    talk.must_publish_none("a base that was acknowledged before", |it| it.applied.is_none())
 }
 
 fn one_in_flight(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -376,14 +342,10 @@ fn one_in_flight(talk: &mut Talk<'_>) -> Result<(), Halt> {
         talk.wait(Duration::from_secs(11))?;
     }
     let mut ids = BTreeSet::new();
-    let updates = &talk.robot.followed.updates[known..];
-    match updates.iter().find(|it| !ids.insert((it.layer as u8, it.header.id))) {
-        None => Ok(()),
-        Some(update) => fail(
-            "one update of a tile while nothing is acknowledged",
-            format!("{:?}", update.header),
-        ),
-    }
+    let mut number = 0..;
+    talk.must_publish_none("one update of a tile while nothing is acknowledged", |it| {
+        number.next() >= Some(known) && !ids.insert((it.layer as u8, it.header.id))
+    })
 }
 
 fn requested(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -397,7 +359,7 @@ fn requested(talk: &mut Talk<'_>) -> Result<(), Halt> {
         if !updates.iter().any(|it| it.header.id == HERE && it.is_whole()) {
             return fail(
                 format!("tile {HERE:?} whole, after a Request for {tiles:?}"),
-                format!("{updates:?}"),
+                format!("{:?}", updates.iter().map(|it| it.header).collect::<Vec<_>>()),
             );
         }
     }
@@ -413,16 +375,7 @@ fn digests(talk: &mut Talk<'_>) -> Result<(), Halt> {
     if !fused.iter().any(|it| it.id == HERE) {
         return fail("a Digest of the acknowledged tile within 24 s", format!("{fused:?}"));
     }
-    for TileDigest { id, stamp, hash } in fused {
-        let held = talk.robot.followed.hash(Layer::Fused, id, stamp);
-        if let Some(held) = held.filter(|&held| held != hash) {
-            return fail(
-                format!("the hash of {id:?} {stamp:?}: {held:08X}"),
-                format!("{hash:08X}"),
-            );
-        }
-    }
-    Ok(())
+    talk.must_agree(&seen).map(|_| ())
 }
 
 fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -457,12 +410,7 @@ fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
         if longest > usize::from(frame) {
             return fail(format!("frames of at most {frame} bytes"), format!("{longest} bytes"));
         }
-        if let Some(why) = talk.robot.followed.unread.first() {
-            return fail(
-                format!("updates in frames of {frame} bytes that can be read"),
-                why.clone(),
-            );
-        }
+        talk.must_be_readable(format!("updates in frames of {frame} bytes that can be read"))?;
         if !talk.is_published(id, Duration(0))? {
             return skip(
                 "the server publishes no fused tile of what the runner has drawn within 20 s",
@@ -470,6 +418,41 @@ fn frame_size(talk: &mut Talk<'_>) -> Result<(), Halt> {
         }
     }
     Ok(())
+}
+
+/// Fails unless the server says within 15 s that a state is on disk.
+fn must_be_stored(
+    talk: &mut Talk<'_>,
+    (id, stamp): (TileId, Stamp),
+    when: &str,
+) -> Result<(), Halt> {
+    let names = |stored: Stored| {
+        let mut tiles = stored.tiles.iter();
+        tiles.any(|(tile, named)| {
+            *tile == id && named.epoch == stamp.epoch && named.version >= stamp.version
+        })
+    };
+    let said = talk.find(STORE_TIME, |_, seen| seen.bodies::<ToRobot, Stored>().any(names))?;
+    match said {
+        Some(_) => Ok(()),
+        None => fail(format!("{when}: Stored of {id:?} {stamp:?} within 15 s"), "none"),
+    }
+}
+
+fn stored(talk: &mut Talk<'_>) -> Result<(), Halt> {
+    talk.open()?;
+    if talk.robot.welcome.is_none_or(|welcome| !welcome.stores) {
+        return skip("the server stores nothing: its Welcome says so");
+    }
+    let (id, tile) = (ground(talk), room(9));
+    let state = (id, stamp(talk, 1));
+    send(talk, id, (1, None), &Tile::UNKNOWN, &tile)?;
+    must_be_stored(talk, state, "after a tile")?;
+    // The first one may have been lost with its session.
+    talk.open()?;
+    let tiles = [TileDigest { id, stamp: state.1, hash: tile_hash(&tile) }].into_iter().collect();
+    talk.datagram(&[Note::new::<ToServer, _>(&Digests { layer: Layer::Robot, tiles })])?;
+    must_be_stored(talk, state, "after its Digest in the next session")
 }
 
 fn budget(talk: &mut Talk<'_>) -> Result<(), Halt> {
