@@ -182,6 +182,11 @@ impl ScaleCurve {
         Some(self.alpha(pixels)? * f32::from(pixels))
     }
 
+    /// The far end of the measured range: its pixels, and its distance in the table's unit.
+    pub fn far(&self) -> (u8, f32) {
+        (self.last, self.distance(self.last).unwrap_or(0.0))
+    }
+
     /// The derivative of the distance with respect to pixels: alpha + d_r d(alpha)/d(d_r).
     pub fn reach(&self, pixels: u8) -> Option<f32> {
         let x = self.x(pixels)?;

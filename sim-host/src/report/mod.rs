@@ -15,6 +15,7 @@ mod picture;
 mod placing;
 mod serving;
 mod summary;
+mod vision;
 mod watching;
 
 use serde::Serialize;
@@ -38,6 +39,7 @@ pub use summary::{
     CalibrationErrors, DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report,
     RobotSummary, TruthScores,
 };
+pub use vision::{ScaleRow, VisionBand, VisionSummary};
 pub use watching::{
     CameraSummary, PassedEvent, SeenFloor, SeenMap, SeenRobot, SeenThing, WatchReport,
 };

@@ -4,7 +4,9 @@ use std::fmt;
 
 use serde::{Serialize, Serializer};
 
-use super::{cameras::CameraMove, comparison::Comparison, link::LinkSummary};
+use super::{
+    cameras::CameraMove, comparison::Comparison, link::LinkSummary, vision::VisionSummary,
+};
 
 /// Results of one run.
 ///
@@ -45,6 +47,13 @@ pub struct Report {
     /// Errors of the cameras' poses; only if the run has calibrated them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationErrors>,
+    /// How well grey cameras saw; only for simulations with them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vision: Option<VisionSummary>,
+    /// Occupied cells in and around the robots that stand, which should have none; only for simulations
+    /// with such robots.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drawn_on_standing: Option<u64>,
     /// The movements of cameras that were noticed, in order of time; left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub camera_moves: Vec<CameraMove>,
@@ -230,6 +239,8 @@ impl Report {
             driving: None,
             sighted: None,
             calibration: None,
+            vision: None,
+            drawn_on_standing: None,
             camera_moves: Vec::new(),
         }
     }
@@ -356,6 +367,12 @@ impl Report {
                 "calibration: {} landmarks, cameras within {:.4} m and {:.3} degrees of the truth",
                 calibration.landmarks, calibration.position_m, calibration.angle_deg
             )?;
+        }
+        if let Some(cells) = self.drawn_on_standing {
+            writeln!(f, "robots that stand: {cells} cells drawn on them")?;
+        }
+        if let Some(vision) = &self.vision {
+            write!(f, "{vision}")?;
         }
         for moved in &self.camera_moves {
             writeln!(f, "{moved}")?;

@@ -16,6 +16,7 @@ mod driving;
 mod figures;
 pub mod fleet;
 mod floors;
+pub mod grey_robot;
 pub mod heap;
 pub mod init;
 pub mod interruption;
@@ -41,6 +42,7 @@ pub mod simulate;
 mod stage;
 pub mod terminal;
 mod time_lapse;
+mod vision;
 pub mod watch;
 
 use std::path::PathBuf;
@@ -221,6 +223,17 @@ pub enum RunError {
         /// Number of robots in the scenario.
         there: usize,
     },
+    /// A scale table can't be read or fitted.
+    #[error("{name}: {reason}")]
+    Scale {
+        /// The table's file.
+        name: String,
+        /// The reason, in one line.
+        reason: String,
+    },
+    /// Only grey cameras can follow boundaries.
+    #[error("--motion boundary needs pictures: add --sensor grey-camera")]
+    BoundaryNeedsPictures,
     /// All robots together would have too many tiles.
     #[error(
         "--robots and --tiles: {robots} robots with {tiles} tiles each have more than {most} together; \
@@ -274,6 +287,8 @@ impl RunError {
             | Self::TooManyRobots { .. }
             | Self::NoSuchCamera { .. }
             | Self::OneRobot { .. }
+            | Self::Scale { .. }
+            | Self::BoundaryNeedsPictures
             | Self::TooManyTiles { .. }
             | Self::Calibrate(_)
             | Self::TurnedMap { .. } => true,

@@ -13,6 +13,7 @@ use super::{
     fleet::{Event, Stage},
     scan_log::ScanLog,
     scoring::TRACK_INTERVAL,
+    vision::Vision,
 };
 use crate::{
     camera::{FrameSource, Source},
@@ -44,6 +45,7 @@ pub struct RoomStage {
     /// True poses of each robot, one per [`TRACK_INTERVAL`].
     tracks: Vec<Vec<Pose>>,
     log: Option<ScanLog>,
+    vision: Option<Vision>,
 }
 
 impl RoomStage {
@@ -61,6 +63,7 @@ impl RoomStage {
             commands: VecDeque::new(),
             tracks: vec![Vec::new(); robots],
             log: None,
+            vision: None,
         }
     }
 
@@ -77,6 +80,16 @@ impl RoomStage {
     /// Writes every scan to a log from now on.
     pub fn keep_log(&mut self, log: ScanLog) {
         self.log = Some(log);
+    }
+
+    /// Compares every picture of a grey camera with the truth from now on.
+    pub(super) fn keep_vision(&mut self, vision: Vision) {
+        self.vision = Some(vision);
+    }
+
+    /// What the grey cameras have measured.
+    pub(super) fn vision(&self) -> Option<&Vision> {
+        self.vision.as_ref()
     }
 
     /// Finishes the log, if there is one.
@@ -161,6 +174,13 @@ impl Stage for RoomStage {
                 log.add(&scan);
             }
             self.waiting.push_back(Event::Scan { robot: scan.robot, readings: scan.readings_mm });
+        }
+        while let Some(look) = self.world.poll_look(now) {
+            if let Some(vision) = &mut self.vision {
+                vision.note(&look);
+            }
+            let (robot, picture) = (look.robot, look.picture);
+            self.waiting.push_back(Event::Look { robot, picture });
         }
         if self.is_filmed {
             while let Some(frame) = FrameSource::poll(&mut self.world, now) {

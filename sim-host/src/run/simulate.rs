@@ -16,16 +16,18 @@ use super::{
     calibration_drive,
     driving::{self, BlindGround},
     figures,
-    fleet::Fleet,
+    fleet::{Bodies, Fleet},
+    grey_robot::Sight,
     heap::{BOUNDS, check_tiles},
     markers,
-    options::{Knock, SimulateOptions},
+    options::{Knock, MotionName, SensorName, SimulateOptions},
     progress::Progress,
     record::{Recorded, Recording},
     room_stage::RoomStage,
     scan_log::ScanLog,
     scoring,
     time_lapse::{self, TimeLapse},
+    vision::{Calibrated, Vision},
 };
 use crate::{
     camera::{Calibration, FrameSource},
@@ -53,7 +55,13 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         None
     };
     let (cameras, calibration_errors) = calibrated.unzip();
-    let configs = if options.outside.is_some() { Vec::new() } else { robots(options, &world) };
+    let vision = vision(options, &world)?;
+    let sight = vision.as_ref().map(|vision| Sight {
+        curve: vision.curve(),
+        follows_boundaries: options.motion == MotionName::Boundary,
+    });
+    let configs =
+        if options.outside.is_some() { Vec::new() } else { robots(options, sight, &world) };
     check_tiles(configs.len(), own_tiles(options))?;
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
@@ -62,13 +70,16 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         config.cameras = cameras;
     }
     let mut deployment = Deployment::new(config, life)?;
-    for robot in world.robots().iter().filter(|robot| robot.drives() && !options.scripted) {
+    for robot in world.robots().iter().filter(|robot| robot.drives() && options.is_led()) {
         deployment.explore(robot.id(), true);
     }
     let mut buffers = vec![[0; BUFFER]; if options.drivers { configs.len() } else { 0 }];
+    let bodies = match sight {
+        Some(sight) => Bodies::Grey(sight),
+        None => Bodies::Machines(&mut buffers),
+    };
     let (faults, seed) = (options.run.channel.faults(), options.run.seed);
-    let mut fleet =
-        Fleet::of_machines(&configs, &mut memory, &mut buffers, faults, seed, deployment)?;
+    let mut fleet = Fleet::of_bodies(&configs, &mut memory, bodies, faults, seed, deployment)?;
     if let Some(keeper) = keeper {
         fleet.keep(keeper);
     }
@@ -89,6 +100,9 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     };
     if !options.scripted {
         stage.hand_over();
+    }
+    if let Some(vision) = vision {
+        stage.keep_vision(vision);
     }
     if let Some(path) = &options.log {
         stage.keep_log(ScanLog::create(path, stage.world().robots())?);
@@ -117,9 +131,12 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let sighted = scoring::sighting_errors(&fleet, stage.tracks());
     report.sighted = (!options.ideal_cameras).then_some(sighted);
     report.driving = Some(ground.summary(&fleet, stage.world()));
+    report.vision = stage.vision().map(Vision::summary);
+    report.drawn_on_standing = scoring::drawn_on_standing(&map, stage.world());
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
-    let pictures = seen.pictures(&map, stage.world(), &time_lapse)?;
+    let mut pictures = seen.pictures(&map, stage.world(), &time_lapse)?;
+    pictures.extend(stage.vision().and_then(Vision::picture).map(|it| ("robot-view.png", it)));
     let Seen { markers, caption, .. } = seen;
     Ok(Outcome { report, map, markers, caption, pictures, tables: Vec::new() })
 }
@@ -158,6 +175,11 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
     if options.outside.is_some() && there != 1 {
         return Err(RunError::OneRobot { there });
     }
+    if options.sensor == SensorName::GreyCamera {
+        for robot in &mut scenario.robots {
+            robot.sensor = robot.sensor.to_grey_camera(robot.height_m);
+        }
+    }
     if options.outside.is_some() || options.drivers {
         for robot in &mut scenario.robots {
             *robot = robot.on_create2(CAMERA.binning.side());
@@ -167,16 +189,34 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
     Ok(Furnished { scenario, walls, world })
 }
 
+/// The accuracy of the robots' grey cameras, which are calibrated before the run; `None` without them.
+fn vision(options: &SimulateOptions, world: &World) -> Result<Option<Vision>, RunError> {
+    let sensor = world.robots().iter().map(SimRobot::sensor).find(|sensor| sensor.sees_grey());
+    if sensor.is_none() && options.motion == MotionName::Boundary {
+        return Err(RunError::BoundaryNeedsPictures);
+    }
+    let vision = |sensor| Ok(Vision::new(Calibrated::of(sensor, options.run.seed)?, sensor));
+    sensor.map(vision).transpose()
+}
+
 /// Number of own tiles per robot.
 fn own_tiles(options: &SimulateOptions) -> usize {
     options.run.tiles.map_or(BOUNDS.own_tiles, |tiles| tiles as usize)
 }
 
 /// The configurations of a world's robots. They drive themselves unless the run is scripted.
-fn robots(options: &SimulateOptions, world: &World) -> Vec<Config<Option<Driving>>> {
+fn robots(
+    options: &SimulateOptions,
+    sight: Option<Sight>,
+    world: &World,
+) -> Vec<Config<Option<Driving>>> {
     let robots = world.robots().iter().map(|robot| {
-        let driving = driving::driving(robot, options.motion).filter(|_| !options.scripted);
+        let driving = driving::driving(robot, options.motion).filter(|_| options.is_led());
         let mut config = config(robot, options.run.seed).with_drive(driving);
+        if let Some(sight) = sight {
+            config = sight.configured(config);
+        }
+        config.peer_mask = options.peer_mask.into();
         config.bounds.own_tiles = own_tiles(options);
         config
     });
@@ -185,7 +225,7 @@ fn robots(options: &SimulateOptions, world: &World) -> Vec<Config<Option<Driving
 
 /// The deployment of a scenario. Ideal cameras deliver observations instead of frames.
 fn deployed(options: &SimulateOptions, scenario: &Scenario, world: &World) -> deployment::Config {
-    let coordination = (!options.scripted).then(|| driving::coordination(world));
+    let coordination = options.is_led().then(|| driving::coordination(world));
     let is_filmed = !options.ideal_cameras;
     deployment::Config {
         coordination,

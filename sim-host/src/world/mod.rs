@@ -3,7 +3,7 @@
 //! Read in this order: `scenario` (the TOML file) and `growth` (generated from a map), `shapes` and `room`
 //! (static geometry and ray casting), `changes` (scheduled changes), `truth` (the perfect map),
 //! `plane_pose`, `route`, `people` and `robots` (motion; `marker` and `tag`: markers on robots), `places`
-//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `mounting`, `displacement`, `render`
+//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `grey_eye` (grey cameras of robots), `mounting`, `displacement`, `render`
 //! and `filming` (camera frames), `passed` (ground that robots have seen), `reachable` (ground where robots
 //! can stand), `ideal_camera` and `ideal_cameras` (observations without frames). [`World`] combines them.
 //!
@@ -15,6 +15,7 @@ mod changes;
 mod displacement;
 mod filming;
 mod fixed_parts;
+mod grey_eye;
 mod growth;
 mod ideal_camera;
 mod ideal_cameras;
@@ -54,6 +55,7 @@ use crate::camera::{Calibration, Frame, FrameSource, Observation, Source};
 
 pub use cadence::STEP;
 pub use fixed_parts::{FixedOutline, FixedPart};
+pub use grey_eye::pictures_of_a_board;
 pub use people::Person;
 pub use robots::SimRobot;
 pub use room::WallGrid;
@@ -70,6 +72,7 @@ pub use truth::Truth;
 use cadence::Cadence;
 use changes::Changes;
 use filming::Filming;
+use grey_eye::GreyEye;
 use ideal_cameras::IdealCameras;
 use passed::Passed;
 use render::{Part, Scene};
@@ -90,6 +93,22 @@ pub struct ScanEvent {
     pub readings_mm: Vec<u16>,
     /// Odometry of the robot: `base_link` in `odom`.
     pub odometry: Pose,
+    /// True pose: `base_link` in `map`. For scoring only.
+    pub truth: Pose,
+}
+
+/// One picture of a robot's grey camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LookEvent {
+    /// The robot's index in [`World::robots`].
+    pub robot: usize,
+    /// When it was taken, in the server's clock.
+    pub taken: Instant,
+    /// Grey levels, top line first.
+    pub picture: Vec<u8>,
+    /// The depth of the nearest surface at the camera's height in each column, in millimetres; zero if
+    /// there is none. For scoring only.
+    pub depths_mm: Vec<u16>,
     /// True pose: `base_link` in `map`. For scoring only.
     pub truth: Pose,
 }
@@ -120,6 +139,9 @@ pub struct World {
     now: Instant,
     contacts: Contacts,
     scans: VecDeque<ScanEvent>,
+    /// The grey camera of each robot that has one and drives.
+    eyes: Vec<Option<GreyEye>>,
+    looks: VecDeque<LookEvent>,
 }
 
 /// Clearance of a tour, in metres: its lines pass the centres of its cells at up to half their diagonal.
@@ -165,13 +187,20 @@ impl World {
         let robots = scenario.robots.iter().enumerate().map(|(index, config)| {
             SimRobot::new(config, index, Stream::Odometry.rng(seed, config.id.into()))
         });
+        let robots: Vec<SimRobot> = robots.collect();
+        let eyes = robots.iter().map(|robot| {
+            let sees = robot.sensor().sees_grey() && robot.drives();
+            let dice = Stream::Eye.rng(seed, robot.id().0.into());
+            sees.then(|| GreyEye::new(robot.sensor(), dice)).flatten()
+        });
+        let eyes = eyes.collect();
         let scanners = scenario.robots.iter().map(|config| {
             (Cadence::new(config.sensor.rate_hz), Stream::Scan.rng(seed, config.id.into()))
         });
         let mut world = Self {
             cameras,
             people: people.collect(),
-            robots: robots.collect(),
+            robots,
             scanners: scanners.collect(),
             room: Arc::new(room),
             changes,
@@ -184,6 +213,8 @@ impl World {
             now: Instant::default(),
             contacts: Contacts::default(),
             scans: VecDeque::new(),
+            eyes,
+            looks: VecDeque::new(),
         };
         world.measure();
         Ok(world)
@@ -239,9 +270,19 @@ impl World {
         if is_taken { self.scans.pop_front() } else { None }
     }
 
+    /// The next picture of a robot's grey camera taken by `now`, oldest first; advances the world to
+    /// `now`.
+    #[must_use]
+    pub fn poll_look(&mut self, now: Instant) -> Option<LookEvent> {
+        self.advance(now);
+        let is_taken = self.looks.front().is_some_and(|look| look.taken <= now);
+        if is_taken { self.looks.pop_front() } else { None }
+    }
+
     /// When the next scan is available; `None` without robots.
     pub fn next_scan(&self) -> Option<Instant> {
-        let waiting = self.scans.front().map(|scan| scan.taken);
+        let looks = self.looks.front().map(|look| look.taken);
+        let waiting = self.scans.front().map(|scan| scan.taken).into_iter().chain(looks).min();
         waiting.or_else(|| self.scanners.iter().map(|(cadence, _)| cadence.due()).min())
     }
 
@@ -344,6 +385,10 @@ impl World {
             let dice = &mut self.scanners[index].1;
             self.passed.look(index, robot, &self.room, self.cells);
             let readings_mm = robot.sensor().scan(robot.pose(), &self.room, &others, dice);
+            if robot.sensor().sees_grey() {
+                self.look(index, readings_mm);
+                continue;
+            }
             self.scans.push_back(ScanEvent {
                 robot: index,
                 taken: self.now,
@@ -354,6 +399,21 @@ impl World {
         }
         self.cameras.take(self.now, &self.room, &self.robots, &self.people);
         self.filming.take(self.now, || scene(&self.room, &self.robots, &self.people));
+    }
+
+    /// Takes a picture with a robot's grey camera, if it has one that looks.
+    fn look(&mut self, index: usize, depths_mm: Vec<u16>) {
+        let (Some(eye), Some(robot)) = (self.eyes[index].as_mut(), self.robots.get(index)) else {
+            return;
+        };
+        let others = self.robots.iter().enumerate().filter(|&(other, _)| other != index);
+        let moving = others.map(|(_, robot)| robot.part());
+        let moving = moving.chain(self.people.iter().flat_map(Person::parts)).collect();
+        let scene = Scene { room: self.room.clone(), moving };
+        if let Some(picture) = eye.look(robot.sensor(), robot.pose(), &scene) {
+            let (taken, truth) = (self.now, robot.truth());
+            self.looks.push_back(LookEvent { robot: index, taken, picture, depths_mm, truth });
+        }
     }
 
     /// The prisms of the other robots and of people, as seen by a robot's sensor.

@@ -8,7 +8,7 @@ use parry2d_f64::{
 };
 
 use super::{
-    scenario::{DoorConfig, FootprintConfig, FurnitureConfig, Scenario, ScenarioError},
+    scenario::{DoorConfig, FootprintConfig, FurnitureConfig, RoomConfig, Scenario, ScenarioError},
     shapes::{Footprint, Prism},
 };
 
@@ -36,6 +36,8 @@ pub(super) struct Room {
     /// For each prism its key in the scenario.
     keys: Vec<String>,
     height: f64,
+    shade: Option<f64>,
+    seamless: bool,
     tree: Bvh,
     outline: Vec<DVec2>,
     bounds: Aabb,
@@ -78,7 +80,8 @@ impl Room {
             _ => outline_bounds(&outline, scenario.room.wall_thickness_m),
         };
         let tree = Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes);
-        Ok(Self { prisms, keys, height: scenario.room.height_m, tree, outline, bounds })
+        let RoomConfig { height_m: height, shade, seamless, .. } = scenario.room;
+        Ok(Self { prisms, keys, height, shade, seamless, tree, outline, bounds })
     }
 
     pub(super) fn prisms(&self) -> &[Prism] {
@@ -88,6 +91,16 @@ impl Room {
     /// For each prism its key in the scenario.
     pub(super) fn keys(&self) -> &[String] {
         &self.keys
+    }
+
+    /// The reflectance of all of its parts; `None` if each has its own.
+    pub(super) fn shade(&self) -> Option<f64> {
+        self.shade
+    }
+
+    /// Whether the floor has no joints.
+    pub(super) fn is_seamless(&self) -> bool {
+        self.seamless
     }
 
     /// Height of the ceiling in metres.

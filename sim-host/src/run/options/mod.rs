@@ -18,7 +18,7 @@ use ubimap_protocol::{
 pub use keys::{KeysAction, KeysOptions};
 pub use knock::Knock;
 pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
-pub use simulate::{MotionName, SimulateOptions};
+pub use simulate::{MotionName, PeerMaskName, SensorName, SimulateOptions};
 pub(super) use values::{OptionError, heights, milliseconds, number, resolution, seconds};
 use values::{depth_scale, pose, probability, tolerance};
 

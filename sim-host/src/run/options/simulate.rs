@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use ubimap_agent::map::PeerMask;
 use ubimap_protocol::time::Duration;
 
 use super::{
@@ -17,7 +18,7 @@ use crate::{run::outside::OutsidePorts, world::NAMED};
 #[command(next_help_heading = "Scenario")]
 pub struct SimulateOptions {
     /// A scenario: a file (TOML), or the name of a built-in one: room, warehouse,
-    /// changing, office or ahmed-2013
+    /// changing, office, ahmed-2013 or ahmed-2013-b
     #[arg(default_value = NAMED[0].0)]
     pub scenario: PathBuf,
 
@@ -56,6 +57,14 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
     pub motion: MotionName,
 
+    /// The robots' sensor, instead of the scenario's
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t, conflicts_with_all = ["drivers", "outside", "log"])]
+    pub sensor: SensorName,
+
+    /// What robots leave out around other robots
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
+    pub peer_mask: PeerMaskName,
+
     /// Number of robots, instead of the scenario's
     #[arg(long, help_heading = "Cameras and robots", value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
     pub robots: Option<u16>,
@@ -88,6 +97,13 @@ pub struct SimulateOptions {
     pub run: RunOptions,
 }
 
+impl SimulateOptions {
+    /// Whether the server leads the robots.
+    pub(crate) fn is_led(&self) -> bool {
+        !self.scripted && self.motion != MotionName::Boundary
+    }
+}
+
 /// When self-driving robots take scans.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum MotionName {
@@ -96,4 +112,39 @@ pub enum MotionName {
     OnTheMove,
     /// They stop for each scan until the cameras have localised them there, as Ahmed et al. did
     StopAndWait,
+    /// They follow boundaries by their pictures alone, and stop for each picture until the cameras have
+    /// localised them there, as Ahmed's robots did
+    Boundary,
+}
+
+/// Sensors that can replace those of a scenario.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SensorName {
+    /// The range sensors of the scenario
+    #[default]
+    Range,
+    /// A grey camera on each robot, whose pictures it segments onboard (Ahmed et al.)
+    GreyCamera,
+}
+
+/// The shapes of the masks around other robots.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum PeerMaskName {
+    /// Their footprint, at their heading
+    #[default]
+    Footprint,
+    /// A square that contains the footprint at any heading, as Ahmed et al. did
+    Square,
+    /// Nothing is left out
+    None,
+}
+
+impl From<PeerMaskName> for PeerMask {
+    fn from(name: PeerMaskName) -> Self {
+        match name {
+            PeerMaskName::Footprint => Self::Footprint,
+            PeerMaskName::Square => Self::Square,
+            PeerMaskName::None => Self::None,
+        }
+    }
 }

@@ -23,12 +23,13 @@ pub use robot::{
 pub const BUILT_IN: &str = include_str!("../../../scenarios/room.toml");
 
 /// All built-in scenarios by name; the first is the default.
-pub const NAMED: [(&str, &str); 5] = [
+pub const NAMED: [(&str, &str); 6] = [
     ("room", BUILT_IN),
     ("warehouse", include_str!("../../../scenarios/warehouse.toml")),
     ("changing", include_str!("../../../scenarios/changing.toml")),
     ("office", include_str!("../../../scenarios/office.toml")),
     ("ahmed-2013", include_str!("../../../scenarios/ahmed-2013.toml")),
+    ("ahmed-2013-b", include_str!("../../../scenarios/ahmed-2013-b.toml")),
 ];
 
 /// Why a scenario can't be simulated. Each error is one line that names the file, and the line or
@@ -137,6 +138,12 @@ pub struct RoomConfig {
     /// Walls inside the room.
     #[serde(default)]
     pub walls: Vec<WallConfig>,
+    /// Reflectance of everything that stands in the room, from 0 to 1; by default walls are of plaster and
+    /// furniture is of woods of many shades, some of which look like the floor to a grey camera.
+    pub shade: Option<f64>,
+    /// Whether the floor has no joints between tiles: to a grey camera they look like boundaries.
+    #[serde(default)]
+    pub seamless: bool,
     /// A ROS map (`map.yaml`, relative to the scenario) whose occupied cells are walls.
     pub map: Option<PathBuf>,
 }
