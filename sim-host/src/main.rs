@@ -30,6 +30,7 @@ use ubimap_sim_host::{
         place::{self, options::PlaceOptions},
         replay,
         robot::{self, RobotOptions},
+        scale::{self, ScaleOptions},
         serve, simulate, terminal, watch,
     },
 };
@@ -87,6 +88,8 @@ enum Command {
     Backup(BackupOptions),
     /// Score one ROS map against another
     Compare(CompareOptions),
+    /// Fit the scale curve of a robot's grey camera (Ahmed, table 1 and equation 1)
+    Scale(ScaleOptions),
     /// Check another implementation of the protocol, robot or server, against SPEC.md
     ///
     /// Takes some seven minutes. To a robot the runner is a server with cells of 50 mm, which sends fixes near x = y = 1 m:
@@ -110,6 +113,7 @@ fn main() -> ExitCode {
             | Command::Conformance(_)
             | Command::Decode(_)
             | Command::Keys(_)
+            | Command::Scale(_)
     ) {
         interruption::listen();
     }
@@ -151,6 +155,7 @@ fn main() -> ExitCode {
         Command::Keys(options) => keys(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
+        Command::Scale(options) => scale(&options),
         Command::Conformance(options) => conformance(&options),
         Command::Decode(options) => decode(&options),
     };
@@ -254,6 +259,18 @@ fn keys(options: &KeysOptions) -> Result<ExitCode, RunError> {
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {
     let scores = compare::run(options)?;
     print(&if options.json { scores.to_json_pretty() } else { compare::describe(&scores) })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn scale(options: &ScaleOptions) -> Result<ExitCode, RunError> {
+    let fit = scale::run(options)?;
+    if options.json {
+        print(&json_pretty(&fit))?;
+    } else {
+        let first =
+            if options.table.is_some() { scale::table_1()?.to_string() } else { String::new() };
+        print(&(first + &fit.to_string()))?;
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -13,6 +13,7 @@ mod output;
 mod output_file;
 mod picture;
 mod placing;
+mod points;
 mod serving;
 mod summary;
 mod vision;
@@ -34,6 +35,7 @@ pub use picture::{
     render_overlap,
 };
 pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
+pub use points::PointsSummary;
 pub use serving::{EventSummary, PortSummary, ServeReport, ServedCamera, StateSummary};
 pub use summary::{
     CalibrationErrors, DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report,

@@ -5,7 +5,8 @@ use std::fmt;
 use serde::{Serialize, Serializer};
 
 use super::{
-    cameras::CameraMove, comparison::Comparison, link::LinkSummary, vision::VisionSummary,
+    cameras::CameraMove, comparison::Comparison, link::LinkSummary, points::PointsSummary,
+    vision::VisionSummary,
 };
 
 /// Results of one run.
@@ -47,6 +48,9 @@ pub struct Report {
     /// Errors of the cameras' poses; only if the run has calibrated them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationErrors>,
+    /// The pointset of the robots' scans; only for simulations with range sensors.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub points: Option<PointsSummary>,
     /// How well grey cameras saw; only for simulations with them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub vision: Option<VisionSummary>,
@@ -239,6 +243,7 @@ impl Report {
             driving: None,
             sighted: None,
             calibration: None,
+            points: None,
             vision: None,
             drawn_on_standing: None,
             camera_moves: Vec::new(),
@@ -370,6 +375,9 @@ impl Report {
         }
         if let Some(cells) = self.drawn_on_standing {
             writeln!(f, "robots that stand: {cells} cells drawn on them")?;
+        }
+        if let Some(points) = &self.points {
+            write!(f, "{points}")?;
         }
         if let Some(vision) = &self.vision {
             write!(f, "{vision}")?;

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ubimap_agent::drive::DriveCommand;
+use ubimap_agent::{drive::DriveCommand, sense::Exposure};
 use ubimap_protocol::{
     time::{Duration, Instant},
     units::Pose,
@@ -11,13 +11,14 @@ use ubimap_protocol::{
 use super::{
     RunError, driving,
     fleet::{Event, Stage},
+    pointset::Pointset,
     scan_log::ScanLog,
     scoring::TRACK_INTERVAL,
     vision::Vision,
 };
 use crate::{
     camera::{FrameSource, Source},
-    world::{STEP, World},
+    world::{STEP, ScanEvent, World},
 };
 
 /// Odometry is read at 20 Hz.
@@ -46,6 +47,8 @@ pub struct RoomStage {
     tracks: Vec<Vec<Pose>>,
     log: Option<ScanLog>,
     vision: Option<Vision>,
+    points: Option<Pointset>,
+    exposure: Exposure,
 }
 
 impl RoomStage {
@@ -64,6 +67,8 @@ impl RoomStage {
             tracks: vec![Vec::new(); robots],
             log: None,
             vision: None,
+            points: None,
+            exposure: Exposure::ANY,
         }
     }
 
@@ -80,6 +85,16 @@ impl RoomStage {
     /// Writes every scan to a log from now on.
     pub fn keep_log(&mut self, log: ScanLog) {
         self.log = Some(log);
+    }
+
+    /// Leaves out badly exposed readings, and collects the points of all scans from now on.
+    pub(super) fn keep_points(&mut self, points: Pointset, exposure: Exposure) {
+        (self.points, self.exposure) = (Some(points), exposure);
+    }
+
+    /// The points of all scans.
+    pub(super) fn points(&self) -> Option<&Pointset> {
+        self.points.as_ref()
     }
 
     /// Compares every picture of a grey camera with the truth from now on.
@@ -169,7 +184,17 @@ impl Stage for RoomStage {
         self.advance(now);
         self.follow_tracks(now);
         self.read_wheels(now);
-        while let Some(scan) = self.world.poll_scan(now) {
+        while let Some(mut scan) = self.world.poll_scan(now) {
+            // A robot masks its readings before it looks at them.
+            let valid = |scan: &ScanEvent| scan.readings_mm.iter().filter(|it| **it > 0).count();
+            let before = valid(&scan);
+            if self.exposure.mask(&mut scan.readings_mm, &scan.light).is_ok() {
+                let masked = (before - valid(&scan)) as u64;
+                self.points.iter_mut().for_each(|points| points.masked(masked));
+            }
+            if let Some(points) = &mut self.points {
+                points.note(&scan, &self.world);
+            }
             if let Some(log) = &mut self.log {
                 log.add(&scan);
             }

@@ -3,7 +3,12 @@
 use std::{path::Path, time};
 
 use image::RgbImage;
-use ubimap_agent::{Bounds, Config, Memory, drive::Driving, sense::SensorModel};
+use ubimap_agent::{
+    Bounds, Config, Memory,
+    drive::Driving,
+    locate::PoseSource,
+    sense::{self, Camera, SensorModel},
+};
 use ubimap_protocol::{
     tile::Cell,
     time::{Duration, Instant},
@@ -21,6 +26,7 @@ use super::{
     heap::{BOUNDS, check_tiles},
     markers,
     options::{Knock, MotionName, SensorName, SimulateOptions},
+    pointset::Pointset,
     progress::Progress,
     record::{Recorded, Recording},
     room_stage::RoomStage,
@@ -37,7 +43,8 @@ use crate::{
     },
     grid::{self, OccupancyGrid},
     perception::markers::Hue,
-    report::{self, Caption, Marker},
+    recording::PixelModel,
+    report::{self, Caption, Marker, OutputFile},
     world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
 
@@ -63,6 +70,10 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let configs =
         if options.outside.is_some() { Vec::new() } else { robots(options, sight, &world) };
     check_tiles(configs.len(), own_tiles(options))?;
+    let points = options.keeps_points(&scenario).then(|| {
+        let starts = world.robots().iter().map(SimRobot::truth);
+        Pointset::new(configs.iter().copied().zip(starts))
+    });
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
     let mut config = deployed(options, &scenario, &world);
@@ -104,6 +115,9 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     if let Some(vision) = vision {
         stage.keep_vision(vision);
     }
+    if let Some(points) = points {
+        stage.keep_points(points, options.exposure.limits());
+    }
     if let Some(path) = &options.log {
         stage.keep_log(ScanLog::create(path, stage.world().robots())?);
     }
@@ -132,11 +146,18 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     report.sighted = (!options.ideal_cameras).then_some(sighted);
     report.driving = Some(ground.summary(&fleet, stage.world()));
     report.vision = stage.vision().map(Vision::summary);
+    report.points = stage.points().map(Pointset::summary);
     report.drawn_on_standing = scoring::drawn_on_standing(&map, stage.world());
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     let mut pictures = seen.pictures(&map, stage.world(), &time_lapse)?;
     pictures.extend(stage.vision().and_then(Vision::picture).map(|it| ("robot-view.png", it)));
+    if let Some(points) = stage.points() {
+        pictures.push(("points.png", points.picture(stage.world(), RESOLUTION.metres())));
+        if let Some(path) = &options.points {
+            OutputFile::create(path)?.finish(points.table().as_bytes())?;
+        }
+    }
     let Seen { markers, caption, .. } = seen;
     Ok(Outcome { report, map, markers, caption, pictures, tables: Vec::new() })
 }
@@ -217,10 +238,27 @@ fn robots(
             config = sight.configured(config);
         }
         config.peer_mask = options.peer_mask.into();
+        config.policy = options.selection.policy.into();
+        config.gate = options.selection.gate();
+        if options.pixel_model == PixelModel::Linear {
+            config.sensor = linear(config.sensor, robot);
+        }
+        if FrameSource::cameras(world).is_empty() {
+            config.pose_source = PoseSource::Odometry(robot.truth());
+        }
         config.bounds.own_tiles = own_tiles(options);
         config
     });
     robots.collect()
+}
+
+/// A camera whose columns are taken to have equal angles (Aluckal, equation 2); other sensors as they are.
+fn linear(sensor: SensorModel, robot: &SimRobot) -> SensorModel {
+    let SensorModel::Pinhole { focal, centre } = sensor else { return sensor };
+    let field = -2.0 * robot.sensor().first_angle_rad() as f32;
+    let pixels = sense::PixelModel::LinearAngle { field };
+    let camera = Camera { pixels, ..Camera::new((focal, focal), (centre, 0.0)) };
+    SensorModel::Row { camera, row: 0.0 }
 }
 
 /// The deployment of a scenario. Ideal cameras deliver observations instead of frames.

@@ -3,7 +3,7 @@
 //! Read in this order: `scenario` (the TOML file) and `growth` (generated from a map), `shapes` and `room`
 //! (static geometry and ray casting), `changes` (scheduled changes), `truth` (the perfect map),
 //! `plane_pose`, `route`, `people` and `robots` (motion; `marker` and `tag`: markers on robots), `places`
-//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `grey_eye` (grey cameras of robots), `mounting`, `displacement`, `render`
+//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `glare` (badly exposed pixels), `grey_eye` (grey cameras of robots), `mounting`, `displacement`, `render`
 //! and `filming` (camera frames), `passed` (ground that robots have seen), `reachable` (ground where robots
 //! can stand), `ideal_camera` and `ideal_cameras` (observations without frames). [`World`] combines them.
 //!
@@ -15,6 +15,7 @@ mod changes;
 mod displacement;
 mod filming;
 mod fixed_parts;
+mod glare;
 mod grey_eye;
 mod growth;
 mod ideal_camera;
@@ -60,10 +61,10 @@ pub use people::Person;
 pub use robots::SimRobot;
 pub use room::WallGrid;
 pub use scenario::{
-    BUILT_IN, CameraConfig, DepthConfig, DoorConfig, FootprintConfig, FurnitureConfig, GrowConfig,
-    KnockConfig, MarkerConfig, MoveConfig, NAMED, OdometryConfig, PersonConfig, PictureConfig,
-    PostureConfig, RobotConfig, RoomConfig, RouteConfig, Scenario, ScenarioError, SensorConfig,
-    SensorPreset, StartConfig, WallConfig,
+    BUILT_IN, CameraConfig, DepthConfig, DoorConfig, FootprintConfig, FurnitureConfig, GlareConfig,
+    GrowConfig, KnockConfig, MarkerConfig, MoveConfig, NAMED, OdometryConfig, PersonConfig,
+    PictureConfig, PostureConfig, RobotConfig, RoomConfig, RouteConfig, Scenario, ScenarioError,
+    SensorConfig, SensorPreset, StartConfig, WallConfig,
 };
 pub use sensor::RangeSensor;
 pub use tag::TAGS;
@@ -72,6 +73,7 @@ pub use truth::Truth;
 use cadence::Cadence;
 use changes::Changes;
 use filming::Filming;
+use glare::Glare;
 use grey_eye::GreyEye;
 use ideal_cameras::IdealCameras;
 use passed::Passed;
@@ -91,6 +93,8 @@ pub struct ScanEvent {
     pub taken: Instant,
     /// Range of each beam of the sensor in millimetres, from right to left; zero for no return.
     pub readings_mm: Vec<u16>,
+    /// Brightness of each column's pixel, for stereo cameras in rooms with glare; otherwise empty.
+    pub light: Vec<u8>,
     /// Odometry of the robot: `base_link` in `odom`.
     pub odometry: Pose,
     /// True pose: `base_link` in `map`. For scoring only.
@@ -142,6 +146,7 @@ pub struct World {
     /// The grey camera of each robot that has one and drives.
     eyes: Vec<Option<GreyEye>>,
     looks: VecDeque<LookEvent>,
+    glare: Glare,
 }
 
 /// Clearance of a tour, in metres: its lines pass the centres of its cells at up to half their diagonal.
@@ -215,6 +220,7 @@ impl World {
             scans: VecDeque::new(),
             eyes,
             looks: VecDeque::new(),
+            glare: Glare::of(scenario),
         };
         world.measure();
         Ok(world)
@@ -284,6 +290,14 @@ impl World {
         let looks = self.looks.front().map(|look| look.taken);
         let waiting = self.scans.front().map(|scan| scan.taken).into_iter().chain(looks).min();
         waiting.or_else(|| self.scanners.iter().map(|(cadence, _)| cadence.due()).min())
+    }
+
+    /// Distance in metres from a point to the first surface of the room in the direction of another one, at
+    /// a height; `None` if there is none within 20 m.
+    pub fn range_m(&self, from: [f64; 2], towards: [f64; 2], height_m: f64) -> Option<f64> {
+        let way = (DVec2::from(towards) - DVec2::from(from)).normalize_or_zero();
+        let hit = self.room.first_hit(DVec2::from(from).extend(height_m), way.extend(0.0), 20.0);
+        hit.map(|(_, range)| range)
     }
 
     /// The cells that a camera sees without people and robots.
@@ -389,10 +403,20 @@ impl World {
                 self.look(index, readings_mm);
                 continue;
             }
+            let mut readings_mm = readings_mm;
+            let light = if self.glare.is_empty() {
+                Vec::new()
+            } else {
+                let robot = &self.robots[index];
+                let dice = &mut self.scanners[index].1;
+                self.glare.expose(robot.sensor(), robot.pose(), &mut readings_mm, dice)
+            };
+            let robot = &self.robots[index];
             self.scans.push_back(ScanEvent {
                 robot: index,
                 taken: self.now,
                 readings_mm,
+                light,
                 odometry: robot.odometry(),
                 truth: robot.truth(),
             });

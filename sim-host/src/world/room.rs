@@ -341,31 +341,40 @@ fn wall([from, to]: [[f64; 2]; 2], thickness: f64, height: f64) -> Prism {
 /// The prisms of a piece of furniture; `None` for a polygon without area.
 pub(super) fn furniture(config: &FurnitureConfig) -> Option<Vec<Prism>> {
     let mut parts = Vec::new();
-    let footprint = match &config.footprint {
-        FootprintConfig::Box { centre_m, size_m, heading_deg } => {
-            let (centre, size) = (DVec2::from(*centre_m), DVec2::from(*size_m));
-            let heading = heading_deg.to_radians();
-            if let Some(side) = config.legs_m {
-                let (sine, cosine) = (libm::sin(heading), libm::cos(heading));
-                let corner = (size - DVec2::splat(side)) / 2.0;
-                for (x, y) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
-                    let offset = DVec2::new(cosine, sine).rotate(corner * DVec2::new(x, y));
-                    let leg = Footprint::rectangle(centre + offset, DVec2::splat(side), heading);
-                    parts.push(Prism { footprint: leg, bottom: 0.0, top: config.bottom_m });
-                }
-            }
-            Footprint::rectangle(centre, size, heading)
+    if let (FootprintConfig::Box { centre_m, size_m, heading_deg }, Some(side)) =
+        (&config.footprint, config.legs_m)
+    {
+        let (centre, size) = (DVec2::from(*centre_m), DVec2::from(*size_m));
+        let heading = heading_deg.to_radians();
+        let (sine, cosine) = (libm::sin(heading), libm::cos(heading));
+        let corner = (size - DVec2::splat(side)) / 2.0;
+        for (x, y) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
+            let offset = DVec2::new(cosine, sine).rotate(corner * DVec2::new(x, y));
+            let leg = Footprint::rectangle(centre + offset, DVec2::splat(side), heading);
+            parts.push(Prism { footprint: leg, bottom: 0.0, top: config.bottom_m });
         }
+    }
+    let footprint = footprint(&config.footprint)?;
+    parts.push(Prism { footprint, bottom: config.bottom_m, top: config.top_m });
+    Some(parts)
+}
+
+/// The ground under something; `None` for a polygon without area.
+pub(super) fn footprint(config: &FootprintConfig) -> Option<Footprint> {
+    match config {
+        FootprintConfig::Box { centre_m, size_m, heading_deg } => Some(Footprint::rectangle(
+            DVec2::from(*centre_m),
+            DVec2::from(*size_m),
+            heading_deg.to_radians(),
+        )),
         FootprintConfig::Disc { centre_m, radius_m } => {
-            Footprint::disc(DVec2::from(*centre_m), *radius_m)
+            Some(Footprint::disc(DVec2::from(*centre_m), *radius_m))
         }
         FootprintConfig::Polygon { points_m } => {
             let corners: Vec<DVec2> = points_m.iter().map(|&point| DVec2::from(point)).collect();
-            Footprint::polygon(&corners)?
+            Footprint::polygon(&corners)
         }
-    };
-    parts.push(Prism { footprint, bottom: config.bottom_m, top: config.top_m });
-    Some(parts)
+    }
 }
 
 /// Covers the occupied cells with few boxes: runs of a row, extended upward while the rows are equal.

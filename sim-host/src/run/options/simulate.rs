@@ -3,22 +3,26 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use ubimap_agent::map::PeerMask;
+use ubimap_agent::{map::PeerMask, sense::Exposure};
 use ubimap_protocol::time::Duration;
 
 use super::{
-    RunOptions,
+    PolicyName, RunOptions, SelectionOptions,
     knock::Knock,
     values::{robots, seconds},
 };
-use crate::{run::outside::OutsidePorts, world::NAMED};
+use crate::{
+    recording::PixelModel,
+    run::outside::OutsidePorts,
+    world::{NAMED, Scenario},
+};
 
 /// Options of `ubimap simulate`.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Scenario")]
 pub struct SimulateOptions {
     /// A scenario: a file (TOML), or the name of a built-in one: room, warehouse,
-    /// changing, office, ahmed-2013 or ahmed-2013-b
+    /// changing, office, ahmed-2013, ahmed-2013-b or aluckal-room
     #[arg(default_value = NAMED[0].0)]
     pub scenario: PathBuf,
 
@@ -65,6 +69,18 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
     pub peer_mask: PeerMaskName,
 
+    /// Which readings are mapped.
+    #[command(flatten)]
+    pub selection: SelectionOptions,
+
+    /// What a column of a robot's depth camera means
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
+    pub pixel_model: PixelModel,
+
+    /// What is done where a robot's depth camera is over- or underexposed
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
+    pub exposure: ExposureName,
+
     /// Number of robots, instead of the scenario's
     #[arg(long, help_heading = "Cameras and robots", value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
     pub robots: Option<u16>,
@@ -92,12 +108,26 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Results", value_name = "FILE")]
     pub log: Option<PathBuf>,
 
+    /// Write the points that the robots' policy selects to this file, as x and y in metres: the pointset of
+    /// Aluckal et al.
+    #[arg(long, help_heading = "Results", value_name = "FILE.csv")]
+    pub points: Option<PathBuf>,
+
     /// Options common to all runs.
     #[command(flatten)]
     pub run: RunOptions,
 }
 
 impl SimulateOptions {
+    /// Whether the points of the robots' scans are of interest: if they are asked for, if the room spoils
+    /// depths, or if a policy is compared.
+    pub(crate) fn keeps_points(&self, scenario: &Scenario) -> bool {
+        let compares = self.selection.policy != PolicyName::Full
+            || self.pixel_model != PixelModel::Pinhole
+            || self.exposure != ExposureName::Any;
+        self.points.is_some() || !scenario.glare.is_empty() || compares
+    }
+
     /// Whether the server leads the robots.
     pub(crate) fn is_led(&self) -> bool {
         !self.scripted && self.motion != MotionName::Boundary
@@ -125,6 +155,26 @@ pub enum SensorName {
     Range,
     /// A grey camera on each robot, whose pictures it segments onboard (Ahmed et al.)
     GreyCamera,
+}
+
+/// What is done with over- and underexposed pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ExposureName {
+    /// Nothing: their depths are taken like all others
+    #[default]
+    Any,
+    /// Their depths are left out (Aluckal III.D, "ignoring the exposed region")
+    Mask,
+}
+
+impl ExposureName {
+    /// The brightness at which depths count.
+    pub fn limits(self) -> Exposure {
+        match self {
+            Self::Any => Exposure::ANY,
+            Self::Mask => Exposure { darkest: 8, brightest: 250 },
+        }
+    }
 }
 
 /// The shapes of the masks around other robots.
