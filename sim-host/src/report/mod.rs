@@ -4,11 +4,13 @@
 //! [`WatchReport`] that of recorded cameras. [`render`] draws `map.png`, and [`OutputFolder`]
 //! writes either all files or none.
 
+mod baselines;
 mod brief;
 mod calibrating;
 mod cameras;
 mod comparison;
 mod link;
+mod network;
 mod output;
 mod output_file;
 mod picture;
@@ -21,6 +23,7 @@ mod watching;
 
 use serde::Serialize;
 
+pub use baselines::{BaselineErrors, BaselineSummary, ChangeSummary};
 pub use brief::{Brief, brief};
 pub use calibrating::{
     CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult, UnseenCamera,
@@ -28,6 +31,7 @@ pub use calibrating::{
 pub use cameras::CameraMove;
 pub use comparison::{Comparison, Published};
 pub use link::LinkSummary;
+pub use network::{Network, NetworkCamera, NetworkPart, PartKind};
 pub use output::{OutputError, OutputFolder};
 pub use output_file::OutputFile;
 pub use picture::{

@@ -5,7 +5,11 @@ use std::fmt;
 use serde::{Serialize, Serializer};
 
 use super::{
-    cameras::CameraMove, comparison::Comparison, link::LinkSummary, points::PointsSummary,
+    baselines::{BaselineSummary, ChangeSummary},
+    cameras::CameraMove,
+    comparison::Comparison,
+    link::LinkSummary,
+    points::PointsSummary,
     vision::VisionSummary,
 };
 
@@ -58,6 +62,12 @@ pub struct Report {
     /// with such robots.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drawn_on_standing: Option<u64>,
+    /// What the robots would know without the cameras; only for simulations that ask for it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub baselines: Option<BaselineSummary>,
+    /// How soon the map showed that furniture was moved; left out if none was.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub changes: Vec<ChangeSummary>,
     /// The movements of cameras that were noticed, in order of time; left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub camera_moves: Vec<CameraMove>,
@@ -246,6 +256,8 @@ impl Report {
             points: None,
             vision: None,
             drawn_on_standing: None,
+            baselines: None,
+            changes: Vec::new(),
             camera_moves: Vec::new(),
         }
     }
@@ -375,6 +387,12 @@ impl Report {
         }
         if let Some(cells) = self.drawn_on_standing {
             writeln!(f, "robots that stand: {cells} cells drawn on them")?;
+        }
+        if let Some(baselines) = &self.baselines {
+            write!(f, "{baselines}")?;
+        }
+        for change in &self.changes {
+            write!(f, "{change}")?;
         }
         if let Some(points) = &self.points {
             write!(f, "{points}")?;

@@ -11,6 +11,7 @@ use ubimap_protocol::{
 use super::{
     RunError, driving,
     fleet::{Event, Stage},
+    onboard::Onboard,
     pointset::Pointset,
     scan_log::ScanLog,
     scoring::TRACK_INTERVAL,
@@ -47,6 +48,7 @@ pub struct RoomStage {
     tracks: Vec<Vec<Pose>>,
     log: Option<ScanLog>,
     vision: Option<Vision>,
+    onboard: Option<Onboard>,
     points: Option<Pointset>,
     exposure: Exposure,
 }
@@ -67,6 +69,7 @@ impl RoomStage {
             tracks: vec![Vec::new(); robots],
             log: None,
             vision: None,
+            onboard: None,
             points: None,
             exposure: Exposure::ANY,
         }
@@ -95,6 +98,16 @@ impl RoomStage {
     /// The points of all scans.
     pub(super) fn points(&self) -> Option<&Pointset> {
         self.points.as_ref()
+    }
+
+    /// Lets the robots estimate their poses without the cameras, too, from now on.
+    pub(super) fn keep_onboard(&mut self) {
+        self.onboard = Some(Onboard::new(&self.world));
+    }
+
+    /// The robots without the cameras.
+    pub(super) fn onboard(&self) -> Option<&Onboard> {
+        self.onboard.as_ref()
     }
 
     /// Compares every picture of a grey camera with the truth from now on.
@@ -191,6 +204,9 @@ impl Stage for RoomStage {
             if self.exposure.mask(&mut scan.readings_mm, &scan.light).is_ok() {
                 let masked = (before - valid(&scan)) as u64;
                 self.points.iter_mut().for_each(|points| points.masked(masked));
+            }
+            if let Some(onboard) = &mut self.onboard {
+                onboard.note(&scan, &self.world);
             }
             if let Some(points) = &mut self.points {
                 points.note(&scan, &self.world);

@@ -41,6 +41,18 @@ pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     }))
 }
 
+/// Times and position errors of the robots' own pose estimates, in metres.
+pub(super) fn position_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> Vec<(Instant, f64)> {
+    let robots = fleet.robots().iter().zip(tracks);
+    let errors = robots.flat_map(|(robot, track)| {
+        robot.path().iter().filter_map(|&(moment, pose)| {
+            let truth = true_pose(track, moment)?;
+            Some((moment, (pose.x - truth.x).metres().hypot((pose.y - truth.y).metres())))
+        })
+    });
+    errors.collect()
+}
+
 /// Errors of the cameras' sightings of driving robots.
 pub fn sighting_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     let tracks: BTreeMap<_, _> =

@@ -24,7 +24,8 @@ use super::{
     fleet::{Bodies, Fleet},
     grey_robot::Sight,
     heap::{BOUNDS, check_tiles},
-    markers,
+    map_age::MapAge,
+    markers, network,
     options::{Knock, MotionName, SensorName, SimulateOptions},
     pointset::Pointset,
     progress::Progress,
@@ -55,6 +56,10 @@ pub const RESOLUTION: Millimetres = Millimetres(50);
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
     let Furnished { scenario, walls, world } = furnished(options)?;
+    let mut options = options.clone();
+    // Without fixed cameras the server knows no robot's pose, and leads none.
+    options.scripted |= FrameSource::cameras(&world).is_empty();
+    let options = &options;
     let calibrated = if options.calibrate {
         let (walls, registry, seed) = (walls.as_ref(), registry(&scenario), !options.run.seed);
         Some(calibration_drive::calibrated(&scenario, walls, RESOLUTION, &registry, seed)?)
@@ -104,6 +109,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         .unwrap_or(Duration::from_micros((scenario.duration_s * 1e6).round() as u64));
     let end = Instant(0) + duration;
     let ground = BlindGround::of(&world);
+    let map_age = MapAge::of(&scenario, walls.as_ref(), RESOLUTION)?;
     let mut stage = if options.ideal_cameras {
         RoomStage::new(world, end)
     } else {
@@ -114,6 +120,9 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     }
     if let Some(vision) = vision {
         stage.keep_vision(vision);
+    }
+    if options.baselines {
+        stage.keep_onboard();
     }
     if let Some(points) = points {
         stage.keep_points(points, options.exposure.limits());
@@ -127,6 +136,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     fleet.play(&mut stage, |fleet| {
         progress.at(fleet.now());
         ground.look(fleet);
+        map_age.look(fleet);
         time_lapse.look(fleet);
     })?;
     time_lapse.end(&fleet);
@@ -146,6 +156,9 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     report.sighted = (!options.ideal_cameras).then_some(sighted);
     report.driving = Some(ground.summary(&fleet, stage.world()));
     report.vision = stage.vision().map(Vision::summary);
+    report.changes = map_age.summary();
+    let errors = || scoring::position_errors(&fleet, stage.tracks());
+    report.baselines = stage.onboard().map(|onboard| onboard.summary(&errors()));
     report.points = stage.points().map(Pointset::summary);
     report.drawn_on_standing = scoring::drawn_on_standing(&map, stage.world());
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
@@ -159,7 +172,10 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         }
     }
     let Seen { markers, caption, .. } = seen;
-    Ok(Outcome { report, map, markers, caption, pictures, tables: Vec::new() })
+    let cameras = world_cameras(fleet.deployment(), stage.world()).map(|(camera, _)| camera);
+    let drawing = network::svg(&map, &scenario, stage.world(), cameras);
+    let tables = vec![("network.svg", drawing)];
+    Ok(Outcome { report, map, markers, caption, pictures, tables })
 }
 
 /// The requested scenario, the walls of its map, if it has one, and its world.

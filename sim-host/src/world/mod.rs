@@ -300,6 +300,11 @@ impl World {
         hit.map(|(_, range)| range)
     }
 
+    /// The walls, closed doors and furniture of its scenario as they stand now.
+    pub fn fixed_parts(&self, scenario: &Scenario) -> Vec<FixedPart> {
+        fixed_parts::parts(&self.room, scenario)
+    }
+
     /// The cells that a camera sees without people and robots.
     pub fn covered(&self, camera: usize) -> Vec<(i32, i32)> {
         self.cameras.visible(camera).collect()

@@ -81,6 +81,18 @@ impl RangeSensor {
         self.fov / (self.beams - 1) as f64
     }
 
+    /// The direction of a beam in the sensor's frame, scaled so that a reading times the direction is the
+    /// point.
+    pub fn direction(&self, beam: usize) -> [f64; 2] {
+        match self.focal_px() {
+            Some(focal) => [1.0, ((self.beams - 1) as f64 / 2.0 - beam as f64) / focal],
+            None => {
+                let bearing = self.first_angle_rad() + beam as f64 * self.step_rad();
+                [cos(bearing), sin(bearing)]
+            }
+        }
+    }
+
     /// Number of beams or columns in a scan.
     pub fn beams(&self) -> usize {
         self.beams

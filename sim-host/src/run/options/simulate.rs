@@ -22,7 +22,8 @@ use crate::{
 #[command(next_help_heading = "Scenario")]
 pub struct SimulateOptions {
     /// A scenario: a file (TOML), or the name of a built-in one: room, warehouse,
-    /// changing, office, ahmed-2013, ahmed-2013-b or aluckal-room
+    /// changing, office, ahmed-2013, ahmed-2013-b, aluckal-room or
+    /// ubislam-figure-1
     #[arg(default_value = NAMED[0].0)]
     pub scenario: PathBuf,
 
@@ -68,6 +69,11 @@ pub struct SimulateOptions {
     /// What robots leave out around other robots
     #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
     pub peer_mask: PeerMaskName,
+
+    /// Also let the robots estimate their poses as if there were no cameras, by odometry alone and by their
+    /// own scan matching, and report the errors
+    #[arg(long, help_heading = "Results")]
+    pub baselines: bool,
 
     /// Which readings are mapped.
     #[command(flatten)]

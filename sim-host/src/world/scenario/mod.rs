@@ -23,7 +23,7 @@ pub use robot::{
 pub const BUILT_IN: &str = include_str!("../../../scenarios/room.toml");
 
 /// All built-in scenarios by name; the first is the default.
-pub const NAMED: [(&str, &str); 7] = [
+pub const NAMED: [(&str, &str); 8] = [
     ("room", BUILT_IN),
     ("warehouse", include_str!("../../../scenarios/warehouse.toml")),
     ("changing", include_str!("../../../scenarios/changing.toml")),
@@ -31,6 +31,7 @@ pub const NAMED: [(&str, &str); 7] = [
     ("ahmed-2013", include_str!("../../../scenarios/ahmed-2013.toml")),
     ("ahmed-2013-b", include_str!("../../../scenarios/ahmed-2013-b.toml")),
     ("aluckal-room", include_str!("../../../scenarios/aluckal-room.toml")),
+    ("ubislam-figure-1", include_str!("../../../scenarios/ubislam-figure-1.toml")),
 ];
 
 /// Why a scenario can't be simulated. Each error is one line that names the file, and the line or
