@@ -29,6 +29,7 @@ use ubimap_sim_host::{
         },
         place::{self, options::PlaceOptions},
         replay,
+        reproduce::{self, ReproduceOptions},
         robot::{self, RobotOptions},
         scale::{self, ScaleOptions},
         serve, simulate, terminal, watch,
@@ -88,6 +89,8 @@ enum Command {
     Backup(BackupOptions),
     /// Score one ROS map against another
     Compare(CompareOptions),
+    /// Run the experiments of the three papers that ubimap follows, and write a page that compares
+    Reproduce(ReproduceOptions),
     /// Fit the scale curve of a robot's grey camera (Ahmed, table 1 and equation 1)
     Scale(ScaleOptions),
     /// Check another implementation of the protocol, robot or server, against SPEC.md
@@ -155,6 +158,8 @@ fn main() -> ExitCode {
         Command::Keys(options) => keys(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
+        Command::Reproduce(options) => reproduce::run(&options)
+            .and_then(|page| answered(&format!("page: {}\n", page.display()))),
         Command::Scale(options) => scale(&options),
         Command::Conformance(options) => conformance(&options),
         Command::Decode(options) => decode(&options),

@@ -255,7 +255,7 @@ fn label(svg: &mut String, points: &[[f64; 2]], name: &str) {
     let mean = |axis: usize| points.iter().map(|at| at[axis]).sum::<f64>() / points.len() as f64;
     let _ = writeln!(
         svg,
-        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\" font-weight=\"bold\" paint-order=\"stroke\" stroke=\"white\" stroke-width=\"3\">{}</text>",
+        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\" font-weight=\"bold\">{}</text>",
         mean(0),
         mean(1) - 12.0,
         escaped(name)

@@ -38,7 +38,15 @@ fn told(error: &io::Error) -> String {
 }
 
 /// Results that only some commands write.
-const OPTIONAL: [&str; 4] = ["coverage.png", "error.png", "timelapse.png", "robots.csv"];
+const OPTIONAL: [&str; 7] = [
+    "coverage.png",
+    "error.png",
+    "timelapse.png",
+    "robot-view.png",
+    "points.png",
+    "network.svg",
+    "robots.csv",
+];
 
 /// An output folder that is being written. If it is dropped before [`OutputFolder::finish`],
 /// everything stays as it was.

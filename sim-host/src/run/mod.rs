@@ -34,6 +34,7 @@ mod pointset;
 mod progress;
 pub mod record;
 pub mod replay;
+pub mod reproduce;
 #[cfg(target_os = "linux")]
 pub mod rig;
 pub mod robot;
@@ -236,6 +237,12 @@ pub enum RunError {
         /// The reason, in one line.
         reason: String,
     },
+    /// A signal ended a series of runs.
+    #[error("interrupted: nothing was written")]
+    Interrupted,
+    /// The options of a built-in run can't be parsed.
+    #[error("a built-in run has wrong options: {0}")]
+    Typed(String),
     /// Only grey cameras can follow boundaries.
     #[error("--motion boundary needs pictures: add --sensor grey-camera")]
     BoundaryNeedsPictures,
@@ -298,6 +305,7 @@ impl RunError {
             | Self::Calibrate(_)
             | Self::TurnedMap { .. } => true,
             Self::Place(fault) => fault.is_bad_input(),
+            Self::Interrupted | Self::Typed(_) => false,
             Self::Print(_) | Self::Grid(_) | Self::Picture(_) | Self::Randomness(_) => false,
         }
     }

@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 
+use nalgebra::{Matrix3, Vector3};
 use ubimap_protocol::{time::Instant, units::Pose};
 
 use crate::{
@@ -18,8 +19,10 @@ const SQUARE_M: f64 = 0.1;
 /// Points of the map nearer to each other than this are one, in metres.
 const SAME_M: f64 = 0.03;
 /// Iterations of a match, and the least number of pairs that count.
-const ITERATIONS: usize = 12;
+const ITERATIONS: usize = 8;
 const PAIRS: usize = 20;
+/// Weight of the guess in a match, for x, y and the heading, in pairs.
+const PRIOR: [f64; 3] = [1.0, 1.0, 1.0];
 /// Number of stretches of time.
 const STRETCHES: usize = 6;
 
@@ -120,43 +123,56 @@ impl Onboard {
 }
 
 impl Alone {
-    /// The pose at which the points of a scan fit those of the map best: pairs of nearest points, and the
-    /// rigid motion that is best for all pairs, again and again.
+    /// The pose at which the points of a scan fit the lines through the map's points best, with the guess
+    /// as a prior (Gauss-Newton).
     fn matched_pose(&self, points: &[[f64; 2]], guess: Plane, distances: &mut u64) -> Plane {
         let mut pose = guess;
         for _ in 0..ITERATIONS {
-            let mut pairs: Vec<([f64; 2], [f64; 2])> = Vec::new();
+            let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+            let mut pairs = 0;
             for &point in points {
                 let at = place(pose, point);
-                pairs.extend(self.nearest(at, distances).map(|there| (at, there)));
+                let Some(([x, y], [nx, ny])) = self.nearest_line(at, distances) else { continue };
+                let lever = [at[0] - pose[0], at[1] - pose[1]];
+                let row = Vector3::new(nx, ny, ny * lever[0] - nx * lever[1]);
+                normal += row * row.transpose();
+                right += row * (nx * (x - at[0]) + ny * (y - at[1]));
+                pairs += 1;
             }
-            if pairs.len() < PAIRS {
+            if pairs < PAIRS {
                 return guess;
             }
-            let step = rigid(&pairs);
-            pose = [
-                pose[0] * step[2].cos() - pose[1] * step[2].sin() + step[0],
-                pose[0] * step[2].sin() + pose[1] * step[2].cos() + step[1],
-                pose[2] + step[2],
-            ];
+            for axis in 0..3 {
+                let back = guess[axis] - pose[axis];
+                normal[(axis, axis)] += PRIOR[axis];
+                right[axis] += PRIOR[axis] * back;
+            }
+            let Some(step) = normal.cholesky().map(|it| it.solve(&right)) else { return guess };
+            pose = [pose[0] + step[0], pose[1] + step[1], pose[2] + step[2]];
         }
         pose
     }
 
-    /// The nearest point of the map in the squares around.
-    fn nearest(&self, at: [f64; 2], distances: &mut u64) -> Option<[f64; 2]> {
+    /// A point on the line through the two nearest points of the map in the squares around, and the line's
+    /// normal.
+    fn nearest_line(&self, at: [f64; 2], distances: &mut u64) -> Option<([f64; 2], [f64; 2])> {
         let [x, y] = square(at);
         let around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| [x + dx, y + dy]));
-        let points = around.filter_map(|square| self.points.get(&square)).flatten();
-        let mut best: Option<(f64, [f64; 2])> = None;
-        for &point in points {
+        let mut best = [(f64::INFINITY, [0.0; 2]); 2];
+        for &point in around.filter_map(|square| self.points.get(&square)).flatten() {
             *distances += 1;
             let far = (point[0] - at[0]).hypot(point[1] - at[1]);
-            if far < SQUARE_M && best.is_none_or(|(least, _)| far < least) {
-                best = Some((far, point));
+            if far < best[0].0 {
+                best = [(far, point), best[0]];
+            } else if far < best[1].0 {
+                best[1] = (far, point);
             }
         }
-        best.map(|(_, point)| point)
+        let [(_, a), (second, b)] = best;
+        let along = [b[0] - a[0], b[1] - a[1]];
+        let length = along[0].hypot(along[1]);
+        let is_line = second < SQUARE_M && length > SAME_M / 2.0;
+        is_line.then(|| (a, [-along[1] / length, along[0] / length]))
     }
 
     fn add(&mut self, points: &[[f64; 2]], pose: Plane) {
@@ -168,26 +184,6 @@ impl Alone {
             }
         }
     }
-}
-
-/// The rotation about the origin and the shift that bring the first points of all pairs to the second
-/// (least squares): x, y and angle.
-fn rigid(pairs: &[([f64; 2], [f64; 2])]) -> Plane {
-    let count = pairs.len() as f64;
-    let mean = |pick: fn(&([f64; 2], [f64; 2])) -> [f64; 2]| {
-        let sum = pairs.iter().map(pick).fold([0.0; 2], |sum, it| [sum[0] + it[0], sum[1] + it[1]]);
-        [sum[0] / count, sum[1] / count]
-    };
-    let (from, to) = (mean(|pair| pair.0), mean(|pair| pair.1));
-    let (mut dot, mut cross) = (0.0, 0.0);
-    for (a, b) in pairs {
-        let (ax, ay, bx, by) = (a[0] - from[0], a[1] - from[1], b[0] - to[0], b[1] - to[1]);
-        dot += ax * bx + ay * by;
-        cross += ax * by - ay * bx;
-    }
-    let angle = cross.atan2(dot);
-    let (sin, cos) = angle.sin_cos();
-    [to[0] - from[0] * cos + from[1] * sin, to[1] - from[0] * sin - from[1] * cos, angle]
 }
 
 fn square(at: [f64; 2]) -> [i32; 2] {
@@ -222,14 +218,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rigid_motion_is_found_again() {
-        let truth = [0.3, -0.2, 0.4];
-        let points = [[1.0, 0.0], [0.0, 2.0], [-1.0, 1.5], [3.0, -1.0]];
-        let pairs: Vec<_> = points.iter().map(|&point| (point, place(truth, point))).collect();
-        let found = rigid(&pairs);
-        assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
-        let pose = [1.0, 2.0, 3.0];
-        let again = compose(pose, relative(pose, truth));
+    fn a_scan_of_a_corner_is_matched_with_the_map_of_it() {
+        let line = |step: i32| f64::from(step) * 0.02;
+        let corner: Vec<[f64; 2]> =
+            (0..100).flat_map(|step| [[line(step), 2.0], [2.0, line(step)]]).collect();
+        let mut alone = Alone { start: [0.0; 3], matched: None, points: HashMap::new() };
+        alone.add(&corner, [0.0; 3]);
+        let truth = [0.03, -0.02, 0.02];
+        let seen: Vec<[f64; 2]> = corner
+            .iter()
+            .map(|&[x, y]| {
+                let [x, y, _] = relative(truth, [x, y, 0.0]);
+                [x, y]
+            })
+            .collect();
+        let found = alone.matched_pose(&seen, [0.0; 3], &mut 0);
+        assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() < 0.004), "{found:?}");
+        let again = compose([1.0, 2.0, 3.0], relative([1.0, 2.0, 3.0], truth));
         assert!(again.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-9), "{again:?}");
     }
 }

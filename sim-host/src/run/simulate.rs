@@ -212,6 +212,9 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
     if options.outside.is_some() && there != 1 {
         return Err(RunError::OneRobot { there });
     }
+    for robot in &mut scenario.robots {
+        robot.identifier_askew_deg += options.identifier_askew;
+    }
     if options.sensor == SensorName::GreyCamera {
         for robot in &mut scenario.robots {
             robot.sensor = robot.sensor.to_grey_camera(robot.height_m);

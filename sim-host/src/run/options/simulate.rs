@@ -9,7 +9,7 @@ use ubimap_protocol::time::Duration;
 use super::{
     PolicyName, RunOptions, SelectionOptions,
     knock::Knock,
-    values::{robots, seconds},
+    values::{OptionError, number, robots, seconds},
 };
 use crate::{
     recording::PixelModel,
@@ -75,6 +75,11 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Results")]
     pub baselines: bool,
 
+    /// Turn every robot's identifier by this angle on the robot, counter-clockwise, in addition to the
+    /// scenario's mounting errors
+    #[arg(long, help_heading = "Cameras and robots", value_name = "DEG", default_value_t = 0.0, value_parser = askew, allow_negative_numbers = true)]
+    pub identifier_askew: f64,
+
     /// Which readings are mapped.
     #[command(flatten)]
     pub selection: SelectionOptions,
@@ -122,6 +127,10 @@ pub struct SimulateOptions {
     /// Options common to all runs.
     #[command(flatten)]
     pub run: RunOptions,
+}
+
+fn askew(text: &str) -> Result<f64, OptionError> {
+    number(text, -180.0, 180.0, "degrees")
 }
 
 impl SimulateOptions {
