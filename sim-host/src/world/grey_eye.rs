@@ -4,6 +4,7 @@ use libm::{cos, sin};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 use parry2d_f64::glamx::DVec2;
 use rand_chacha::ChaCha8Rng;
+use ubimap_protocol::{time::Instant, units::Pose};
 
 use super::{
     plane_pose::PlanePose,
@@ -22,6 +23,22 @@ const SIZE: (u32, u32) = (320, 240);
 const HORIZON: f64 = 144.0;
 /// Standard deviation of a pixel, in grey levels.
 const NOISE: f64 = 2.5;
+
+/// One picture of a robot's grey camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LookEvent {
+    /// The robot's index in [`World::robots`](super::World::robots).
+    pub robot: usize,
+    /// When it was taken, in the server's clock.
+    pub taken: Instant,
+    /// Grey levels, top line first.
+    pub picture: Vec<u8>,
+    /// The depth of the nearest surface at the camera's height in each column, in millimetres; zero if
+    /// there is none. For scoring only.
+    pub depths_mm: Vec<u16>,
+    /// True pose: `base_link` in `map`. For scoring only.
+    pub truth: Pose,
+}
 
 /// The camera of a robot.
 pub(super) struct GreyEye {

@@ -56,7 +56,7 @@ use crate::camera::{Calibration, Frame, FrameSource, Observation, Source};
 
 pub use cadence::STEP;
 pub use fixed_parts::{FixedOutline, FixedPart};
-pub use grey_eye::pictures_of_a_board;
+pub use grey_eye::{LookEvent, pictures_of_a_board};
 pub use people::Person;
 pub use robots::SimRobot;
 pub use room::WallGrid;
@@ -97,22 +97,6 @@ pub struct ScanEvent {
     pub light: Vec<u8>,
     /// Odometry of the robot: `base_link` in `odom`.
     pub odometry: Pose,
-    /// True pose: `base_link` in `map`. For scoring only.
-    pub truth: Pose,
-}
-
-/// One picture of a robot's grey camera.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LookEvent {
-    /// The robot's index in [`World::robots`].
-    pub robot: usize,
-    /// When it was taken, in the server's clock.
-    pub taken: Instant,
-    /// Grey levels, top line first.
-    pub picture: Vec<u8>,
-    /// The depth of the nearest surface at the camera's height in each column, in millimetres; zero if
-    /// there is none. For scoring only.
-    pub depths_mm: Vec<u16>,
     /// True pose: `base_link` in `map`. For scoring only.
     pub truth: Pose,
 }

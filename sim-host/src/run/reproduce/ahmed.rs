@@ -28,18 +28,26 @@ pub(super) fn write(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
     second_experiment(page, runs)?;
     masks(page, runs)?;
     page.section("4 Conclusion");
-    page.say("\"The boundaries near by are mapped with higher accuracy\": confirmed, see 2.3. \"It does not overload the communication network\": see the bytes in 3.");
+    page.say(
+        "\"The boundaries near by are mapped with higher accuracy\": confirmed, see 2.3. \"It does \
+             not overload the communication network\": see the bytes in 3.",
+    );
     Ok(())
 }
 
 fn boundary_detection(page: &mut Page, first: &Outcome) -> Result<(), RunError> {
     page.section("2.1 Objects' boundary detection");
     page.say(
-        "Printed: the image is segmented, the region at the middle of its bottom is the floor, and its height in each of 320 columns \
-         is the distance vector. The segmentation itself is not described; ours grows the floor from that region upwards (573,000 \
-         instructions on a Cortex-M4). The pictures are rendered, 320 x 240, with texture, vignetting, blur and noise; the arena's blocks are \
-         dark on a light floor without joints. On the tiled floor of our other rooms a joint counts as a boundary, and \
-         where blocks are as grey as the floor, none is found: the method needs contrast, which the paper does not say.",
+        "Printed: the image is segmented, the region at the middle of its bottom is the floor, and its \
+            height in each of 320 columns \
+         is the distance vector. The segmentation itself is not described; ours grows the floor from \
+         that region upwards (573,000 \
+         instructions on a Cortex-M4). The pictures are rendered, 320 x 240, with texture, vignetting, \
+         blur and noise; the arena's blocks are \
+         dark on a light floor without joints. On the tiled floor of our other rooms a joint counts as a \
+         boundary, and \
+         where blocks are as grey as the floor, none is found: the method needs contrast, which the \
+         paper does not say.",
     );
     page.picture_of(
         "ahmed-robot-view",
@@ -53,7 +61,8 @@ fn localisation(page: &mut Page, report: &Report) {
     page.section("2.2 Robot localisation");
     let sighted = report.sighted.unwrap_or_default();
     page.say(&format!(
-        "Printed: two ceiling cameras, three zones, fused in the middle one; coloured markers with cover, head and tail; no accuracy is \
+        "Printed: two ceiling cameras, three zones, fused in the middle one; coloured markers with \
+            cover, head and tail; no accuracy is \
          given. Ours: the same layout, {} sightings of driving robots, {:.1} mm and {:.2} degrees off (RMS).",
         sighted.count,
         1_000.0 * sighted.rmse_m,
@@ -66,8 +75,10 @@ fn mapping(page: &mut Page, report: &Report) -> Result<(), RunError> {
     let printed = scale::table_1()?;
     let vision = report.vision.clone().unwrap_or_default();
     page.say(
-        "Table 1 and equation 1. The paper's table is in pixels of the ceiling camera; ours was measured by the simulated robot itself before \
-         the run, with a board at the same ten ratios of distances, and is in millimetres (`ubimap scale` fits any such table). Equation 1 \
+        "Table 1 and equation 1. The paper's table is in pixels of the ceiling camera; ours was measured \
+            by the simulated robot itself before \
+         the run, with a board at the same ten ratios of distances, and is in millimetres (`ubimap \
+         scale` fits any such table). Equation 1 \
          as printed has rounded coefficients: it lies below its own table throughout.",
     );
     let rows = printed.rows.iter().zip(&printed.as_printed).enumerate().map(
@@ -97,9 +108,12 @@ fn mapping(page: &mut Page, report: &Report) -> Result<(), RunError> {
         &rows.collect::<Vec<_>>(),
     );
     page.say(
-        "\"Objects detected near the robot will be mapped with higher accuracy\": the distance of a boundary's point from its true \
-         place. The paper takes distances as ranges along bearings spread evenly over 90 degrees; a line of an image has a constant depth, \
-         so that this bends every boundary. Equation 5 also mirrors everything to the robot's left (its slope has no sign); ours keeps the quadrant.",
+        "\"Objects detected near the robot will be mapped with higher accuracy\": the distance of a \
+            boundary's point from its true \
+         place. The paper takes distances as ranges along bearings spread evenly over 90 degrees; a line \
+         of an image has a constant depth, \
+         so that this bends every boundary. Equation 5 also mirrors everything to the robot's left (its \
+         slope has no sign); ours keeps the quadrant.",
     );
     let bands = vision.bands.iter().map(|band: &VisionBand| {
         row([
@@ -160,9 +174,12 @@ fn first_experiment(page: &mut Page, runs: &mut Runs, first: &Outcome) -> Result
         runs.simulate("ahmed-2013 --sensor grey-camera --motion stop-and-wait --ideal-cameras")?;
     let range = runs.simulate("ahmed-2013 --sensor range --scripted --ideal-cameras")?;
     page.say(&format!(
-        "Experiment 1, `simulate {FIRST}`: R1 and R2 follow boundaries and stop for each picture until the ceiling cameras have \
-         localised them; R3 and R4 stand. Printed: 4 min 21 s, \"sufficient\" map, parts unmapped, no figures. Ours ran for \
-         the same time. The second row is led by the server to unmapped ground (\"a path planning strategy can be used\"), the third has a \
+        "Experiment 1, `simulate {FIRST}`: R1 and R2 follow boundaries and stop for each picture until \
+            the ceiling cameras have \
+         localised them; R3 and R4 stand. Printed: 4 min 21 s, \"sufficient\" map, parts unmapped, no \
+         figures. Ours ran for \
+         the same time. The second row is led by the server to unmapped ground (\"a path planning \
+         strategy can be used\"), the third has a \
          range sensor and drives a fixed route; both with ideal ceiling cameras."
     ));
     page.table(
@@ -201,9 +218,12 @@ fn heading_error(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
     });
     let rows = rows.into_iter().collect::<Result<Vec<_>, RunError>>()?;
     page.say(
-        "The blue arrow: \"a small error in the detected robot orientation can generate considerable error in the mapped boundaries\". \
-         At 0.6 m, the far end of table 1, an error of 5 degrees moves a boundary by 52 mm, one cell of ours. Our server finds a marker that \
-         was glued on askew by the robot's course, and corrects it; the last column is what is left of it on average over the run.",
+        "The blue arrow: \"a small error in the detected robot orientation can generate considerable \
+            error in the mapped boundaries\". \
+         At 0.6 m, the far end of table 1, an error of 5 degrees moves a boundary by 52 mm, one cell of \
+         ours. Our server finds a marker that \
+         was glued on askew by the robot's course, and corrects it; the last column is what is left of \
+         it on average over the run.",
     );
     let mut columns = MAPPED.to_vec();
     columns.push("heading error of the robots (degrees RMS)");
@@ -214,15 +234,19 @@ fn heading_error(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
 fn second_experiment(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
     let second =
         runs.simulate("ahmed-2013-b --sensor grey-camera --motion boundary --ideal-cameras")?;
-    page.say("Experiment 2, `simulate ahmed-2013-b --sensor grey-camera --motion boundary --ideal-cameras`: the blocks in another order (ours are guessed, as the paper gives no measures). Printed: \"sufficient environmental map\".");
+    page.say("Experiment 2, `simulate ahmed-2013-b --sensor grey-camera --motion boundary \
+             --ideal-cameras`: the blocks in another order (ours are guessed, as the paper gives no \
+             measures). Printed: \"sufficient environmental map\".");
     page.table(&MAPPED, &[mapped_row("boundary following", &second)]);
     page.map("ahmed-2-map", &second, "Figure 6 c: the map after the second experiment")
 }
 
 fn masks(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
     page.say(
-        "\"Some of the boundaries resulted from the surfaces of static robots R3 and R4 were erroneously mapped\", because the window around \
-         a robot was square. The same experiment with each mask, led by the server so that the robots pass R3 and R4, with ideal ceiling cameras:",
+        "\"Some of the boundaries resulted from the surfaces of static robots R3 and R4 were erroneously \
+            mapped\", because the window around \
+         a robot was square. The same experiment with each mask, led by the server so that the robots \
+         pass R3 and R4, with ideal ceiling cameras:",
     );
     let rows = ["none", "square", "footprint"].map(|mask| {
         let options = format!(
@@ -231,6 +255,8 @@ fn masks(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
         Ok(mapped_row(&format!("`--peer-mask {mask}`"), &runs.simulate(&options)?))
     });
     page.table(&MAPPED, &rows.into_iter().collect::<Result<Vec<_>, RunError>>()?);
-    page.say("Our square contains the footprint at any heading with a margin for all uncertainties, so that nothing is drawn: the paper's was too small. What a square costs is walls beside a robot; the test `peers` measures it.");
+    page.say("Our square contains the footprint at any heading with a margin for all uncertainties, so \
+             that nothing is drawn: the paper's was too small. What a square costs is walls beside a \
+             robot; the test `peers` measures it.");
     Ok(())
 }

@@ -17,12 +17,14 @@ const POLICIES: [&str; 5] = ["pilot", "threshold", "omission", "omission-as-prin
 pub(super) fn write(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
     page.paper(
         "Aluckal et al.",
-        "C. Aluckal et al.: Dynamic real-time indoor environment mapping for unmanned autonomous vehicle navigation.",
+        "C. Aluckal et al.: Dynamic real-time indoor environment mapping for unmanned autonomous vehicle \
+            navigation.",
     );
     page.section("I Introduction");
     page.say("No experiment.");
     page.section("II.A Data acquisition");
-    page.say("Plane slicing: one row of a 640 x 480 depth image, at the height of the sensor. `replay --slice` also takes the median of a band of rows, or the points at a height whatever the tilt.");
+    page.say("Plane slicing: one row of a 640 x 480 depth image, at the height of the sensor. `replay \
+             --slice` also takes the median of a band of rows, or the points at a height whatever the tilt.");
     preprocessing(page, runs)?;
     method(page);
     let policies = policies(runs)?;
@@ -30,9 +32,11 @@ pub(super) fn write(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
     comparison(page, &policies);
     page.section("III.B Results");
     if let Some((_, run)) = policies.get(1) {
-        page.picture_of("aluckal-points", run, "points.png", "Figure 5: the pointset of the threshold policy (blue) over the true surfaces (black); points more than 5 cm beyond a surface in red")?;
+        page.picture_of("aluckal-points", run, "points.png", "Figure 5: the pointset of the threshold \
+            policy (blue) over the true surfaces (black); points more than 5 cm beyond a surface in red")?;
     }
-    page.say("\"The dotted line shows the extent of the overshoot, i.e. the points further away from the origin than expected\": the paper draws it and gives no figure; ours is in the tables.");
+    page.say("\"The dotted line shows the extent of the overshoot, i.e. the points further away from the \
+             origin than expected\": the paper draws it and gives no figure; ours is in the tables.");
     limits(page, runs)?;
     future(page);
     page.section("IV Conclusion");
@@ -44,7 +48,9 @@ const ROOM: &str = "aluckal-room --exposure mask";
 
 fn preprocessing(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
     page.section("II.B Pre-processing");
-    page.say("Equation 2 gives all columns the same angle, 43 * (320 - k) / 320 degrees; a pinhole camera's columns have the same tangent. Halfway between axis and edge the printed angle is 3.5 degrees off. `simulate aluckal-room --exposure mask --policy threshold --pixel-model ...`:");
+    page.say("Equation 2 gives all columns the same angle, 43 * (320 - k) / 320 degrees; a pinhole \
+             camera's columns have the same tangent. Halfway between axis and edge the printed angle is \
+             3.5 degrees off. `simulate aluckal-room --exposure mask --policy threshold --pixel-model ...`:");
     let rows = ["linear", "pinhole"].map(|model| {
         let run = runs.simulate(&format!("{ROOM} --policy threshold --pixel-model {model}"))?;
         Ok(policy_row(
@@ -58,13 +64,17 @@ fn preprocessing(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
 
 fn method(page: &mut Page) {
     page.section("II.C Proposed method");
-    page.say("Thresholding and offsetting are as printed. Selective omission as printed applies to turns only; in `full` it applies to any motion (the paper's future work), by what the map knows.");
+    page.say("Thresholding and offsetting are as printed. Selective omission as printed applies to turns \
+             only; in `full` it applies to any motion (the paper's future work), by what the map knows.");
     page.section("II.D Implementation details");
     page.say(
-        "Printed: 86 / 640 = 0.134 degrees a pixel; 3.5 cm or 5 degrees. A turn of 10 degrees leaves 10 / 0.134 = 74.6, so 75 pixels; with \
-         86 / 640 = 0.134375 unrounded it is 74. Tests hold both (`the_papers_pixels`). Two misprints: the listing's yaw is clockwise, and after a turn \
+        "Printed: 86 / 640 = 0.134 degrees a pixel; 3.5 cm or 5 degrees. A turn of 10 degrees leaves 10 \
+            / 0.134 = 74.6, so 75 pixels; with \
+         86 / 640 = 0.134375 unrounded it is 74. Tests hold both (`the_papers_pixels`). Two misprints: \
+         the listing's yaw is clockwise, and after a turn \
          to the right `640 - inter_p` is 640 + 75 = 715, beyond the last pixel, so that nothing is mapped: \
-         `--policy omission-as-printed` does just that, `--policy omission` what is meant. The gate by axis as printed is `--gate by-axis`.",
+         `--policy omission-as-printed` does just that, `--policy omission` what is meant. The gate by \
+         axis as printed is `--gate by-axis`.",
     );
 }
 
@@ -117,7 +127,10 @@ fn policy_row(name: &str, run: &Outcome) -> Vec<String> {
 }
 
 fn comparison(page: &mut Page, policies: &[(&'static str, Outcome)]) {
-    page.say("`simulate aluckal-room --exposure mask --policy ...`: a D435 (86 degrees, 30 frames per second) on a robot with the odometry of a T265 on a fixed route through a furnished room. The paper gives no figures, only an order: thresholding prevents redundant entries, omission also overlapping points, \"this results in a smoother output\".");
+    page.say("`simulate aluckal-room --exposure mask --policy ...`: a D435 (86 degrees, 30 frames per \
+             second) on a robot with the odometry of a T265 on a fixed route through a furnished room. \
+             The paper gives no figures, only an order: thresholding prevents redundant entries, \
+             omission also overlapping points, \"this results in a smoother output\".");
     let rows: Vec<_> =
         policies.iter().map(|(name, run)| policy_row(&format!("`{name}`"), run)).collect();
     page.table(&COLUMNS, &rows);
@@ -128,8 +141,10 @@ fn comparison(page: &mut Page, policies: &[(&'static str, Outcome)]) {
         "- \"Thresholding prevents redundant entries\": {} ({} redundant points against {}).\n\
          - \"Selective omission omits overlapping points\": {} ({} against {}).\n\
          - \"This results in a smoother output\": {} ({:.1} mm roughness against {:.1} mm).\n\
-         - The printed listing, which maps nothing after turns to the right: {} points against {} with the meaning corrected.\n\
-         - `full` keeps {} points, of which {} are redundant; the points that are left are not smoother, because an outlier is \
+         - The printed listing, which maps nothing after turns to the right: {} points against {} with \
+         the meaning corrected.\n\
+         - `full` keeps {} points, of which {} are redundant; the points that are left are not smoother, \
+         because an outlier is \
          never known already.",
         holds(threshold.redundant < pilot.redundant),
         threshold.redundant,
@@ -145,12 +160,17 @@ fn comparison(page: &mut Page, policies: &[(&'static str, Outcome)]) {
         full.kept,
         full.redundant
     ));
-    page.say("Where omission loses: what came into view by a turn is drawn once. A reading that was wrong then is never corrected, and what appears later in ground that is in view already is never seen. Compare the F1 of the rows.");
+    page.say("Where omission loses: what came into view by a turn is drawn once. A reading that was \
+             wrong then is never corrected, and what appears later in ground that is in view already is \
+             never seen. Compare the F1 of the rows.");
 }
 
 fn limits(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
     page.section("III.C Constraints and limitations");
-    page.say("\"Extreme differences in exposure can result in discontinuities\": the room has a sunlit wall and a dark niche, where a stereo camera finds no depth or a wrong one (a model of ours). Vibrations: scans from jolted moments are not mapped (`Steadiness`). Distortions: the lens model of OpenCV is applied before slicing.");
+    page.say("\"Extreme differences in exposure can result in discontinuities\": the room has a sunlit \
+             wall and a dark niche, where a stereo camera finds no depth or a wrong one (a model of \
+             ours). Vibrations: scans from jolted moments are not mapped (`Steadiness`). Distortions: \
+             the lens model of OpenCV is applied before slicing.");
     let mut rows = Vec::new();
     for exposure in ["any", "mask"] {
         for policy in ["threshold", "full"] {
@@ -178,11 +198,26 @@ fn future(page: &mut Page) {
     page.table(
         &["of the paper", "here"],
         &[
-            row(["exposure correction: ignoring the region".to_owned(), "`--exposure mask`, in the table above".to_owned()]),
+            row([
+                "exposure correction: ignoring the region".to_owned(),
+                "`--exposure mask`, in the table \
+                above"
+                    .to_owned(),
+            ]),
             row(["exposure correction: normalising".to_owned(), "not there".to_owned()]),
             row(["selective omission for translation".to_owned(), "`--policy full`".to_owned()]),
-            row(["selective removal of pixels".to_owned(), "by distance, pixels and bearings, also at run time (`Removal`, `Validity`)".to_owned()]),
-            row(["extended awareness: classes with weights".to_owned(), "cells that keep changing become movable and are forgotten sooner; classes with priors are not there".to_owned()]),
+            row([
+                "selective removal of pixels".to_owned(),
+                "by distance, pixels and bearings, also at \
+                run time (`Removal`, `Validity`)"
+                    .to_owned(),
+            ]),
+            row([
+                "extended awareness: classes with weights".to_owned(),
+                "cells that keep changing become \
+                movable and are forgotten sooner; classes with priors are not there"
+                    .to_owned(),
+            ]),
         ],
     );
 }

@@ -20,7 +20,8 @@ impl Page {
             format!(" **Each run was cut to {seconds} s: its figures say little.**")
         });
         let contents = format!(
-            "# The papers' experiments\n\nWritten by `ubimap reproduce`: every number under \"ours\" is of the runs that have \
+            "# The papers' experiments\n\nWritten by `ubimap reproduce`: every number under \"ours\" is \
+                of the runs that have \
              just been made, by the command beside it.{cut}\n\n## Contents\n\n"
         );
         Self { contents, body: String::new(), pictures: Vec::new() }
