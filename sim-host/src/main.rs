@@ -29,7 +29,9 @@ use ubimap_sim_host::{
         },
         place::{self, options::PlaceOptions},
         replay,
+        reproduce::{self, ReproduceOptions},
         robot::{self, RobotOptions},
+        scale::{self, ScaleOptions},
         serve, simulate, terminal, watch,
     },
 };
@@ -87,6 +89,10 @@ enum Command {
     Backup(BackupOptions),
     /// Score one ROS map against another
     Compare(CompareOptions),
+    /// Run the experiments of the three papers that ubimap follows, and write a page that compares
+    Reproduce(ReproduceOptions),
+    /// Fit the scale curve of a robot's grey camera (Ahmed, table 1 and equation 1)
+    Scale(ScaleOptions),
     /// Check another implementation of the protocol, robot or server, against SPEC.md
     ///
     /// Takes some seven minutes. To a robot the runner is a server with cells of 50 mm, which sends fixes near x = -1 m, y = 1 m:
@@ -110,6 +116,7 @@ fn main() -> ExitCode {
             | Command::Conformance(_)
             | Command::Decode(_)
             | Command::Keys(_)
+            | Command::Scale(_)
     ) {
         interruption::listen();
     }
@@ -151,6 +158,9 @@ fn main() -> ExitCode {
         Command::Keys(options) => keys(&options),
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
+        Command::Reproduce(options) => reproduce::run(&options)
+            .and_then(|page| answered(&format!("page: {}\n", page.display()))),
+        Command::Scale(options) => scale(&options),
         Command::Conformance(options) => conformance(&options),
         Command::Decode(options) => decode(&options),
     };
@@ -254,6 +264,18 @@ fn keys(options: &KeysOptions) -> Result<ExitCode, RunError> {
 fn compare(options: &CompareOptions) -> Result<ExitCode, RunError> {
     let scores = compare::run(options)?;
     print(&if options.json { scores.to_json_pretty() } else { compare::describe(&scores) })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn scale(options: &ScaleOptions) -> Result<ExitCode, RunError> {
+    let fit = scale::run(options)?;
+    if options.json {
+        print(&json_pretty(&fit))?;
+    } else {
+        let first =
+            if options.table.is_some() { scale::table_1()?.to_string() } else { String::new() };
+        print(&(first + &fit.to_string()))?;
+    }
     Ok(ExitCode::SUCCESS)
 }
 

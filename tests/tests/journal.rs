@@ -25,7 +25,7 @@ use ubimap_sim_host::{
     channel::fault::Faults,
     deployment,
     run::{
-        fleet::Fleet,
+        fleet::{Bodies, Fleet},
         heap::Heap,
         options::SimulateOptions,
         room_stage::RoomStage,
@@ -111,8 +111,15 @@ fn simulated() -> Vec<u8> {
     let kept = Rc::clone(&journal);
     let (mut memory, mut buffers) = ([Memory::new(&config.bounds)], [[0; SLICE_LENGTH]]);
     let configs = [config];
-    let mut fleet =
-        Fleet::of_machines(&configs, &mut memory, &mut buffers, faults, 1, deployment).unwrap();
+    let mut fleet = Fleet::of_bodies(
+        &configs,
+        &mut memory,
+        Bodies::Machines(&mut buffers),
+        faults,
+        1,
+        deployment,
+    )
+    .unwrap();
     let note = move |now, entry: Entry<'_>| {
         let (writer, journal) = &mut *kept.borrow_mut();
         writer.write(now, entry, |bytes| journal.extend(bytes));

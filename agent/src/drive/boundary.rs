@@ -22,6 +22,12 @@ pub struct BoundaryFollower {
     pub speed: i16,
     /// Maximum turn rate, in mrad/s.
     pub turn: i16,
+    /// Distance from the robot's centre to where the outermost columns see the boundary, along its way,
+    /// in mm: a boundary that has ended there is not passed yet, and the robot drives on that far
+    /// before it turns towards it.
+    pub reach: i16,
+    /// Distance driven since the boundary was last in sight, in mm.
+    passed: f32,
     /// Angle turned so far in search of a boundary that is out of sight, in radians. After a full
     /// turn there is none nearby.
     lost: f32,
@@ -32,19 +38,34 @@ impl Default for BoundaryFollower {
     fn default() -> Self {
         let clearance = GroundClearance::default();
         let columns = COLUMNS / 8;
-        Self { clearance, is_left: false, aside: 70, columns, speed: 150, turn: 600, lost: TAU }
+        Self {
+            clearance,
+            is_left: false,
+            aside: 70,
+            columns,
+            speed: 150,
+            turn: 600,
+            reach: 250,
+            passed: 0.0,
+            lost: TAU,
+        }
     }
 }
 
 impl BoundaryFollower {
+    /// The turn rate away from the boundary, in mrad/s.
+    pub(super) fn away(&self) -> i16 {
+        if self.is_left { self.turn.saturating_neg() } else { self.turn }
+    }
+
     /// The next command, from the [`distances`](crate::sense::Floor::distances) of an image,
     /// leftmost column first; `elapsed` is the time since the last call, in seconds. If the floor
     /// ahead is not free, the robot turns away from the boundary on the spot. Otherwise it drives:
     /// towards a boundary that is too far away, and straight on if there is none.
     pub fn step(&mut self, distances: &[u8; COLUMNS], elapsed: f32) -> DriveCommand {
-        let away = if self.is_left { self.turn.saturating_neg() } else { self.turn };
+        let away = self.away();
         if !self.clearance.is_clear(distances) {
-            self.lost = 0.0;
+            (self.passed, self.lost) = (0.0, 0.0);
             return DriveCommand { speed: 0, turn: away };
         }
         let left = distances.iter().take(self.columns).min();
@@ -55,7 +76,10 @@ impl BoundaryFollower {
         let off = i32::from(self.aside) - i32::from(nearest);
         let full = i32::from(self.aside / 4).max(1);
         if off > -full {
-            self.lost = 0.0;
+            (self.passed, self.lost) = (0.0, 0.0);
+        } else if self.passed < f32::from(self.reach) && self.lost < TAU {
+            self.passed += f32::from(self.speed) * elapsed;
+            return DriveCommand { speed: self.speed, turn: 0 };
         } else if self.lost < TAU {
             self.lost += f32::from(self.turn).abs() * 1.0e-3 * elapsed;
         } else {
@@ -73,7 +97,8 @@ mod tests {
     #[test]
     fn it_turns_away_from_obstacles_and_keeps_its_distance_to_the_boundary() {
         for is_left in [false, true] {
-            let mut follower = BoundaryFollower { is_left, ..BoundaryFollower::default() };
+            let mut follower =
+                BoundaryFollower { is_left, reach: 15, ..BoundaryFollower::default() };
             let sign = if is_left { -1 } else { 1 };
             let mut distances = [124; COLUMNS];
             let mut with = |side: u8, ahead: u8, distances: &mut [u8; COLUMNS]| {
@@ -91,6 +116,9 @@ mod tests {
             assert_eq!(along, straight);
             assert!(with(60, 100, &mut distances).turn * sign > 0, "too near: away");
             assert!(with(80, 100, &mut distances).turn * sign < 0, "too far: towards");
+            // It passes the end of the boundary: 15 mm are two steps at 150 mm/s.
+            assert_eq!(with(124, 100, &mut distances), straight);
+            assert_eq!(with(124, 100, &mut distances), straight);
             assert_eq!(with(124, 100, &mut distances).turn, -600 * sign);
             // A full turn, at 0.6 rad/s.
             let steps = (0..300).take_while(|_| with(124, 100, &mut distances) != straight).count();

@@ -6,9 +6,11 @@
 //! view of the robot's own sensor allows; [`Safety`] stops the robot on a fault; a [`Driver`] joins
 //! these. A [`Navigator`] drives along the server's paths at its own rate; [`Driving`] is its
 //! configuration, and one implementation of [`Drive`]. [`Stops`] is Ahmed's method: the robot maps
-//! only at standstill. A [`BoundaryFollower`] needs no map.
+//! only at standstill. A [`BoundaryFollower`] needs no map; a
+//! [`BoundaryWalk`] stops it for each picture.
 
 mod boundary;
+mod boundary_walk;
 mod choice;
 mod driver;
 mod driving;
@@ -33,6 +35,7 @@ mod oracle;
 mod simulation;
 
 pub use boundary::BoundaryFollower;
+pub use boundary_walk::BoundaryWalk;
 pub use choice::{Drive, Drives, NoDrive, Surroundings};
 pub use driver::{Driver, Inputs, Task};
 pub use driving::Driving;

@@ -33,6 +33,16 @@ impl Sweep {
         Self { step: turn.sum::<f32>() / steps.max(1) as f32 }
     }
 
+    /// The same by the letter of the paper's listing, with its yaw (clockwise): `inter_p = (g_angle -
+    /// yaw) / 0.134` is negative in its second branch, `640 - inter_p` lies beyond the last pixel, and
+    /// so nothing is left between start and end after a turn to the right.
+    pub(super) fn as_printed(self, before: Angle, now: Angle, count: usize) -> Range<usize> {
+        if ((now - before).0 as i16) < 0 {
+            return count..count;
+        }
+        self.new_in_view(before, now, count)
+    }
+
     /// The indices of the readings, out of `count`, that came into view when the robot turned from
     /// heading `before` to `now` (the paper's start and end pixel); all indices if it did not turn.
     ///
@@ -77,6 +87,12 @@ mod tests {
         };
         // Ten degrees are 74 pixels (10 / 0.134 = 74.6; with 86 / 640 degrees 74.4).
         assert_eq!(view(0.0, 10.0), 0..74, "to the left: from the left-hand side");
+        let printed = |before: f64, now: f64| {
+            sweep.as_printed(Angle::from_degrees(before), Angle::from_degrees(now), 640)
+        };
+        assert_eq!(printed(0.0, 10.0), 0..74);
+        assert_eq!(printed(0.0, -10.0), 640..640, "640 + 75 = 715 is the printed start");
+        assert_eq!(printed(30.0, 30.0), 0..640);
         assert_eq!(view(0.0, -10.0), 566..640, "to the right: from the right-hand side");
         assert_eq!(view(175.0, -175.0), 0..74, "across 180 degrees");
         assert_eq!(view(30.0, 30.0), 0..640, "no turn");

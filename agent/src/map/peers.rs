@@ -30,6 +30,8 @@ pub enum PeerMask {
     /// A square along the axes of `map` that contains the other robot's footprint at any heading
     /// (Ahmed 2.2).
     Square,
+    /// None: other robots are drawn like everything else, for comparison.
+    None,
 }
 
 /// Maximum speed and turn rate assumed since the last report, in mm/s and rad/s.
@@ -74,6 +76,7 @@ impl PeerMasks {
     /// pose.
     pub(crate) fn new(peers: Option<&Peers>, scan: &ScanContext, unsure: Variances) -> Self {
         let mut near = Self { masks: Vec::new(), side: scan.resolution.0.clamp(1, 1 << 16) };
+        let peers = peers.filter(|_| scan.mask != PeerMask::None);
         for (peers, peer) in
             peers.into_iter().flat_map(|it| it.peers.iter().map(move |peer| (it, peer)))
         {
@@ -143,7 +146,7 @@ impl Mask {
         let all_round = sqrtf(length * length + width * width);
         let (heading, turned) = match scan.mask {
             PeerMask::Footprint => (peer.pose.heading, SEEN_TURN + TURN * seconds),
-            PeerMask::Square => (Angle(0), ANY_TURN),
+            PeerMask::Square | PeerMask::None => (Angle(0), ANY_TURN),
         };
         let (sin, cos) = sin_cos(radians(heading));
         Self {

@@ -11,6 +11,9 @@ pub enum Policy {
     /// Like `Threshold`, without the readings that were in view before the robot turned ("selective
     /// omission", for rotations, as printed).
     Omission,
+    /// The same by the letter of the paper's listing: after a turn to the right its start pixel lies
+    /// beyond the last one, and nothing is mapped.
+    OmissionAsPrinted,
     /// Maps a scan after each motion, or where the view has changed, without the readings that are
     /// redundant: implied by adjacent readings, by the robot's own map or by the server's. Handles
     /// any motion, which the paper leaves to future work.

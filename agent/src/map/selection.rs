@@ -81,6 +81,9 @@ impl Selection {
                 (Policy::Omission, Some(before)) => {
                     self.sweep.new_in_view(before.heading, pose.heading, readings.len())
                 }
+                (Policy::OmissionAsPrinted, Some(before)) => {
+                    self.sweep.as_printed(before.heading, pose.heading, readings.len())
+                }
                 _ => all,
             });
         }

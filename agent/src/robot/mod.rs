@@ -376,6 +376,11 @@ impl<'b, D: Drive> Robot<'b, D> {
         self.mapper.pose_at(moment)
     }
 
+    /// When the newest fix that arrived was taken, by the robot's clock.
+    pub fn newest_fix(&self) -> Option<Instant> {
+        self.mapper.locator.newest_fix()
+    }
+
     /// The direction of each reading of a scan.
     pub fn beams(&self) -> &[Beam] {
         self.mapper.beams

@@ -17,6 +17,19 @@ pub fn floor_readings(distances: &[u8; COLUMNS], curve: &ScaleCurve) -> [u16; CO
     distances.map(|pixels| curve.distance(pixels).map_or(0, |it| libm::roundf(it) as u16))
 }
 
+/// The same, but a column whose floor goes on beyond the far end of the curve has a reading beyond any
+/// range: there is no boundary, and the floor is free. The map's range must not exceed
+/// [`ScaleCurve::far`].
+pub fn open_floor_readings(distances: &[u8; COLUMNS], curve: &ScaleCurve) -> [u16; COLUMNS] {
+    let mut readings = floor_readings(distances, curve);
+    for (reading, &pixels) in readings.iter_mut().zip(distances) {
+        if pixels > curve.far().0 {
+            *reading = u16::MAX - 1;
+        }
+    }
+    readings
+}
+
 /// The position of a boundary (equations 3 to 5): at `distance` from the robot, in the direction of
 /// `towards`, another point on the ray of the boundary's column. `None` if `towards` is the robot's
 /// own position.
@@ -59,6 +72,14 @@ mod tests {
         let curve = ScaleCurve::fit(&super::super::TABLE_1).unwrap().scaled(10.0);
         for (pixels, reading) in floor_readings(&distances, &curve).into_iter().enumerate() {
             assert_eq!(reading != 0, (62..=121).contains(&pixels), "{pixels}: {reading}");
+        }
+        for (pixels, reading) in open_floor_readings(&distances, &curve).into_iter().enumerate() {
+            let expected = if pixels > 121 {
+                u16::MAX - 1
+            } else {
+                floor_readings(&distances, &curve)[pixels]
+            };
+            assert_eq!(reading, expected, "{pixels}");
         }
         let reading = floor_readings(&[93; COLUMNS], &curve)[0];
         assert!(reading.abs_diff(1_190) < 20, "{reading} is not 119 of 10 mm");

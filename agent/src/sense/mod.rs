@@ -22,7 +22,7 @@ pub use beams::{Beam, DIRECTION_BITS, Removal, SensorModel, fill_beams, remove_b
 pub use camera::{Camera, Distortion, PixelModel, Ray, Rays};
 pub use clearance::GroundClearance;
 pub use columns::Columns;
-pub use distance_vector::{boundary_point, floor_readings};
+pub use distance_vector::{boundary_point, floor_readings, open_floor_readings};
 pub use exposure::Exposure;
 pub use floor::{COLUMNS, Floor, FloorConfig, ImageSizeError, LINES, floor_distances};
 pub use scale_curve::{ScaleCurve, ScaleError, TABLE_1};

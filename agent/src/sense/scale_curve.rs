@@ -89,19 +89,14 @@ impl core::error::Error for ScaleError {}
 impl ScaleCurve {
     /// Equation 1 as printed, for distances in pixels of the ceiling camera. Its coefficients are
     /// rounded: it is 0.04 to 0.09 below table 1, where a [`ScaleCurve::fit`] is within 0.03.
-    pub const EQUATION_1: Self = Self {
-        centre: 0.0,
-        spread: 1.0,
-        terms: [
-            Term::of(0.0051),
-            Term::of(0.028),
-            Term::of(0.000_11),
-            Term::of(-7e-6),
-            Term::of(4.4e-8),
-        ],
-        first: 62,
-        last: 121,
-    };
+    pub const EQUATION_1: Self = Self::of_powers([0.0051, 0.028, 0.000_11, -7e-6, 4.4e-8], 62, 121);
+
+    /// The curve with these coefficients by powers of the pixels, from the constant on, measured from
+    /// `first` to `last` pixels. `ubimap scale` prints them for a table.
+    pub const fn of_powers([a, b, c, d, e]: [f32; TERMS], first: u8, last: u8) -> Self {
+        let terms = [Term::of(a), Term::of(b), Term::of(c), Term::of(d), Term::of(e)];
+        Self { centre: 0.0, spread: 1.0, terms, first, last }
+    }
 
     /// Fits a curve of fourth degree to a table (least squares of the scale factor). Each row holds
     /// the pixels of free floor in the middle column and the distance to the object there, in any
@@ -180,6 +175,11 @@ impl ScaleCurve {
     /// The distance (equation 2) in the table's unit; `None` outside the measured range.
     pub fn distance(&self, pixels: u8) -> Option<f32> {
         Some(self.alpha(pixels)? * f32::from(pixels))
+    }
+
+    /// The far end of the measured range: its pixels, and its distance in the table's unit.
+    pub fn far(&self) -> (u8, f32) {
+        (self.last, self.distance(self.last).unwrap_or(0.0))
     }
 
     /// The derivative of the distance with respect to pixels: alpha + d_r d(alpha)/d(d_r).

@@ -4,22 +4,27 @@
 //! [`WatchReport`] that of recorded cameras. [`render`] draws `map.png`, and [`OutputFolder`]
 //! writes either all files or none.
 
+mod baselines;
 mod brief;
 mod calibrating;
 mod cameras;
 mod comparison;
 mod link;
+mod network;
 mod output;
 mod output_file;
 mod picture;
 mod placing;
+mod points;
 mod served_robot;
 mod serving;
 mod summary;
+mod vision;
 mod watching;
 
 use serde::Serialize;
 
+pub use baselines::{BaselineErrors, BaselineSummary, ChangeSummary};
 pub use brief::{Brief, brief};
 pub use calibrating::{
     CalibrateReport, CameraResult, EdgeResult, FailedPair, FloorResult, UnseenCamera,
@@ -27,6 +32,7 @@ pub use calibrating::{
 pub use cameras::CameraMove;
 pub use comparison::{Comparison, Published};
 pub use link::LinkSummary;
+pub use network::{Network, NetworkCamera, NetworkPart, PartKind};
 pub use output::{OutputError, OutputFolder};
 pub use output_file::OutputFile;
 pub use picture::{
@@ -34,6 +40,7 @@ pub use picture::{
     render_frames, render_overlap,
 };
 pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
+pub use points::PointsSummary;
 pub use served_robot::ServedRobot;
 pub use serving::{
     EventSummary, FrameDelays, PortSummary, ServeReport, ServedCamera, StateSummary,
@@ -42,6 +49,7 @@ pub use summary::{
     CalibrationErrors, DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report,
     RobotSummary, TruthScores,
 };
+pub use vision::{ScaleRow, VisionBand, VisionSummary};
 pub use watching::{
     CameraSummary, PassedEvent, SeenFloor, SeenMap, SeenRobot, SeenThing, WatchReport,
 };

@@ -38,8 +38,16 @@ fn told(error: &io::Error) -> String {
 }
 
 /// Results that only some commands write.
-const OPTIONAL: [&str; 5] =
-    ["coverage.png", "error.png", "plan.png", "timelapse.png", "robots.csv"];
+const OPTIONAL: [&str; 8] = [
+    "coverage.png",
+    "error.png",
+    "plan.png",
+    "timelapse.png",
+    "robot-view.png",
+    "points.png",
+    "network.svg",
+    "robots.csv",
+];
 
 /// An output folder that is being written. If it is dropped before [`OutputFolder::finish`],
 /// everything stays as it was.

@@ -4,7 +4,14 @@ use std::fmt;
 
 use serde::{Serialize, Serializer};
 
-use super::{cameras::CameraMove, comparison::Comparison, link::LinkSummary};
+use super::{
+    baselines::{BaselineSummary, ChangeSummary},
+    cameras::CameraMove,
+    comparison::Comparison,
+    link::LinkSummary,
+    points::PointsSummary,
+    vision::VisionSummary,
+};
 
 /// Results of one run.
 ///
@@ -45,6 +52,22 @@ pub struct Report {
     /// Errors of the cameras' poses; only if the run has calibrated them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationErrors>,
+    /// The pointset of the robots' scans; only for simulations with range sensors.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub points: Option<PointsSummary>,
+    /// How well grey cameras saw; only for simulations with them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub vision: Option<VisionSummary>,
+    /// Occupied cells in and around the robots that stand, which should have none; only for simulations
+    /// with such robots.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub drawn_on_standing: Option<u64>,
+    /// What the robots would know without the cameras; only for simulations that ask for it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub baselines: Option<BaselineSummary>,
+    /// How soon the map showed that furniture was moved; left out if none was.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub changes: Vec<ChangeSummary>,
     /// The movements of cameras that were noticed, in order of time; left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub camera_moves: Vec<CameraMove>,
@@ -230,6 +253,11 @@ impl Report {
             driving: None,
             sighted: None,
             calibration: None,
+            points: None,
+            vision: None,
+            drawn_on_standing: None,
+            baselines: None,
+            changes: Vec::new(),
             camera_moves: Vec::new(),
         }
     }
@@ -356,6 +384,21 @@ impl Report {
                 "calibration: {} landmarks, cameras within {:.4} m and {:.3} degrees of the truth",
                 calibration.landmarks, calibration.position_m, calibration.angle_deg
             )?;
+        }
+        if let Some(cells) = self.drawn_on_standing {
+            writeln!(f, "robots that stand: {cells} cells drawn on them")?;
+        }
+        if let Some(baselines) = &self.baselines {
+            write!(f, "{baselines}")?;
+        }
+        for change in &self.changes {
+            write!(f, "{change}")?;
+        }
+        if let Some(points) = &self.points {
+            write!(f, "{points}")?;
+        }
+        if let Some(vision) = &self.vision {
+            write!(f, "{vision}")?;
         }
         for moved in &self.camera_moves {
             writeln!(f, "{moved}")?;

@@ -1,5 +1,5 @@
-//! A simulated robot's software: a robot that gets scans and odometry, or a machine that gets the
-//! bytes of simulated devices.
+//! A simulated robot's software: a robot that gets scans or pictures and odometry, or a machine that
+//! gets the bytes of simulated devices.
 
 use ubimap_agent::{
     Config, ConfigError, Machine, Memory, Port, Robot,
@@ -13,7 +13,10 @@ use ubimap_agent::{
 };
 use ubimap_protocol::{frame::DEFAULT_FRAME, time::Instant, units::Pose};
 
-use super::heap::Heap;
+use super::{
+    grey_robot::{GreyRobot, Sight},
+    heap::Heap,
+};
 use crate::devices::{SimA010, SimCreate2};
 
 /// The speed of a robot's ports in bits per second.
@@ -35,6 +38,7 @@ pub(super) const BUFFER: usize = SLICE.buffer_len(CAMERA.binning.side());
 /// A robot's software.
 pub(super) enum Body<'b> {
     Robot(Box<Robot<'b, Option<Driving>>>),
+    Grey(Box<GreyRobot<'b>>),
     Machine(Box<Wired<'b>>),
 }
 
@@ -51,12 +55,17 @@ pub(super) struct Wired<'b> {
 pub(super) type Journal<'j> = Box<dyn FnMut(Instant, Entry<'_>) + 'j>;
 
 impl<'b> Body<'b> {
-    /// A robot that has just booted; with a buffer of [`BUFFER`] readings, a machine.
+    /// A robot that has just booted; with a buffer of [`BUFFER`] readings, a machine; with a sight, a
+    /// robot that gets pictures.
     pub(super) fn new(
         config: Config<Option<Driving>>,
         memory: &'b mut Memory<Heap, Option<Driving>>,
         buffer: Option<&'b mut [u16]>,
+        sight: Option<Sight>,
     ) -> Result<Self, ConfigError> {
+        if let Some(sight) = sight {
+            return Ok(Self::Grey(Box::new(GreyRobot::new(config, memory, sight)?)));
+        }
         let camera = buffer.and_then(|buffer| camera(config.sensor, buffer));
         Ok(match camera {
             None => Self::Robot(Box::new(Robot::new(config, memory)?)),
@@ -73,6 +82,7 @@ impl<'b> Body<'b> {
     pub(super) fn robot(&self) -> &Robot<'b, Option<Driving>> {
         match self {
             Self::Robot(robot) => robot,
+            Self::Grey(grey) => &grey.robot,
             Self::Machine(wired) => wired.machine.robot(),
         }
     }
@@ -88,6 +98,7 @@ impl<'b> Body<'b> {
     pub(super) fn receive(&mut self, bytes: &[u8], local: Instant) {
         match self {
             Self::Robot(robot) => robot.receive(bytes, local),
+            Self::Grey(grey) => grey.robot.receive(bytes, local),
             Self::Machine(wired) => wired.receive(Port::Server, bytes, local),
         }
     }
@@ -101,14 +112,25 @@ impl<'b> Body<'b> {
                     log::debug!("robot {}: scan dropped: {error}", robot.settings().robot.0);
                 }
             }
+            // It has no range sensor.
+            Self::Grey(_) => {}
             Self::Machine(wired) => wired.camera.expose(readings, now),
+        }
+    }
+
+    /// Passes a picture to a robot with a grey camera.
+    pub(super) fn look(&mut self, picture: &[u8], local: Instant) {
+        if let Self::Grey(grey) = self {
+            grey.look(picture, local);
         }
     }
 
     /// Passes odometry to a robot; a machine has wheels instead.
     pub(super) fn odometry(&mut self, pose: Pose, local: Instant) {
-        if let Self::Robot(robot) = self {
-            robot.odometry(local, pose, local);
+        match self {
+            Self::Robot(robot) => robot.odometry(local, pose, local),
+            Self::Grey(grey) => grey.odometry(pose, local),
+            Self::Machine(_) => {}
         }
     }
 
@@ -116,6 +138,7 @@ impl<'b> Body<'b> {
     pub(super) fn timeout(&mut self, local: Instant, now: Instant) {
         match self {
             Self::Robot(robot) => robot.timeout(local),
+            Self::Grey(grey) => grey.timeout(local),
             Self::Machine(wired) => wired.exchange(local, now),
         }
     }
@@ -124,6 +147,7 @@ impl<'b> Body<'b> {
     pub(super) fn poll_transmit(&mut self, local: Instant, out: &mut [u8]) -> Option<usize> {
         match self {
             Self::Robot(robot) => robot.poll_transmit(local, out),
+            Self::Grey(grey) => grey.robot.poll_transmit(local, out),
             Self::Machine(wired) => wired.poll_transmit(Port::Server, local, out),
         }
     }
@@ -132,6 +156,7 @@ impl<'b> Body<'b> {
     pub(super) fn command(&self) -> DriveCommand {
         match self {
             Self::Robot(robot) => robot.command(),
+            Self::Grey(grey) => grey.command(),
             Self::Machine(wired) => {
                 let [speed, turn] = wired.base.commanded().map(|it| (it * 1_000.0).round() as i16);
                 DriveCommand { speed, turn }
@@ -143,6 +168,7 @@ impl<'b> Body<'b> {
     pub(super) fn poll_timeout(&self) -> (Instant, Option<Instant>) {
         match self {
             Self::Robot(robot) => (robot.poll_timeout(), None),
+            Self::Grey(grey) => (grey.robot.poll_timeout(), None),
             Self::Machine(wired) => {
                 let devices = [wired.camera.poll_timeout(), wired.base.poll_timeout()];
                 (wired.machine.poll_timeout(), devices.into_iter().flatten().min())
@@ -153,7 +179,7 @@ impl<'b> Body<'b> {
     /// When the wheels of a machine measure next, by the run's clock.
     pub(super) fn next_measurement(&self) -> Option<Instant> {
         match self {
-            Self::Robot(_) => None,
+            Self::Robot(_) | Self::Grey(_) => None,
             Self::Machine(wired) => wired.base.next_frame(),
         }
     }

@@ -15,6 +15,7 @@ pub use super::stage::{Event, Stage};
 use super::{
     RunError,
     body::{BUFFER, Journal},
+    grey_robot::Sight,
     heap::Heap,
     interruption,
     keeper::Keeper,
@@ -34,6 +35,16 @@ pub type Tap<'t> = Box<dyn FnMut(RobotId, Direction, &[u8]) + 't>;
 
 /// Called with every event of the deployment.
 pub type Listener<'l> = Box<dyn FnMut(&deployment::Event) + 'l>;
+
+/// What the robots of a fleet are.
+pub enum Bodies<'b> {
+    /// Robots that get scans.
+    Robots,
+    /// Machines, which get the bytes of simulated devices; a buffer for each.
+    Machines(&'b mut [[u16; BUFFER]]),
+    /// Robots that get pictures of grey cameras.
+    Grey(Sight),
+}
 
 /// A deployment and its robots, on one virtual clock.
 pub struct Fleet<'b> {
@@ -65,26 +76,30 @@ impl<'b> Fleet<'b> {
         seed: u64,
         deployment: Deployment,
     ) -> Result<Self, ConfigError> {
-        Self::of_machines(configs, memory, &mut [], faults, seed, deployment)
+        Self::of_bodies(configs, memory, Bodies::Robots, faults, seed, deployment)
     }
 
-    /// The same with machines, which get the bytes of simulated devices, for the first robots:
-    /// `buffers` has an entry for each machine.
+    /// The same with other bodies.
     ///
     /// # Errors
     /// [`ConfigError`].
-    pub fn of_machines(
+    pub fn of_bodies(
         configs: &[Config<Option<Driving>>],
         memory: &'b mut [Memory<Heap, Option<Driving>>],
-        buffers: &'b mut [[u16; BUFFER]],
+        bodies: Bodies<'b>,
         faults: Faults,
         seed: u64,
         mut deployment: Deployment,
     ) -> Result<Self, ConfigError> {
+        let (buffers, sight) = match bodies {
+            Bodies::Robots => (&mut [][..], None),
+            Bodies::Machines(buffers) => (buffers, None),
+            Bodies::Grey(sight) => (&mut [][..], Some(sight)),
+        };
         let mut buffers = buffers.iter_mut().map(|buffer| &mut buffer[..]);
         let robots = configs.iter().zip(memory).map(|(config, memory)| {
             let memory = (memory, buffers.next());
-            Member::new(*config, memory, deployment.open_port(Policy::Open), faults, seed)
+            Member::new(*config, memory, sight, deployment.open_port(Policy::Open), faults, seed)
         });
         let robots = robots.collect::<Result<_, ConfigError>>()?;
         Ok(Self {
@@ -281,6 +296,12 @@ impl<'b> Fleet<'b> {
             Event::Scan { robot, readings } => {
                 let Some(robot) = self.robots.get_mut(robot) else { return };
                 robot.scan(&readings, self.now);
+                let pose = robot.robot().pose();
+                robot.follow(pose.map(|(at, pose)| (self.deployment.since_began(at), pose)));
+            }
+            Event::Look { robot, picture } => {
+                let Some(robot) = self.robots.get_mut(robot) else { return };
+                robot.look(&picture, self.now);
                 let pose = robot.robot().pose();
                 robot.follow(pose.map(|(at, pose)| (self.deployment.since_began(at), pose)));
             }

@@ -13,6 +13,7 @@ use ubimap_protocol::{
 
 use super::{
     body::{Body, Journal},
+    grey_robot::Sight,
     heap::Heap,
 };
 use crate::{
@@ -79,6 +80,7 @@ impl<'b> Member<'b> {
     pub(super) fn new(
         config: Config<Option<Driving>>,
         (memory, buffer): (&'b mut Memory<Heap, Option<Driving>>, Option<&'b mut [u16]>),
+        sight: Option<Sight>,
         port: PortId,
         faults: Faults,
         seed: u64,
@@ -90,7 +92,7 @@ impl<'b> Member<'b> {
         Ok(Self {
             port,
             clock: RobotClock::of(id, seed),
-            body: Body::new(config, memory, buffer)?,
+            body: Body::new(config, memory, buffer, sight)?,
             up: wire(1),
             down: wire(2),
             commanded: DriveCommand::STAND,
@@ -152,6 +154,12 @@ impl<'b> Member<'b> {
     pub(super) fn scan(&mut self, readings: &[u16], now: Instant) {
         let local = self.clock.local(now);
         self.body.scan(readings, local, now);
+    }
+
+    /// Passes a picture to the robot.
+    pub(super) fn look(&mut self, picture: &[u8], now: Instant) {
+        let local = self.clock.local(now);
+        self.body.look(picture, local);
     }
 
     /// Appends an estimated pose to its path.

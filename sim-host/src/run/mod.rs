@@ -16,24 +16,31 @@ mod driving;
 mod figures;
 pub mod fleet;
 mod floors;
+pub mod grey_robot;
 pub mod heap;
 pub mod init;
 pub mod interruption;
 pub mod keeper;
 pub mod keys;
+mod map_age;
 mod markers;
 pub mod member;
+mod network;
+mod onboard;
 pub mod options;
 pub mod outside;
 pub mod place;
+mod pointset;
 mod progress;
 pub mod record;
 pub mod replay;
+pub mod reproduce;
 #[cfg(target_os = "linux")]
 pub mod rig;
 pub mod robot;
 mod robots_file;
 pub mod room_stage;
+pub mod scale;
 pub mod scan_log;
 pub mod scoring;
 pub mod serve;
@@ -41,6 +48,7 @@ pub mod simulate;
 mod stage;
 pub mod terminal;
 mod time_lapse;
+mod vision;
 pub mod watch;
 
 use std::path::PathBuf;
@@ -221,6 +229,23 @@ pub enum RunError {
         /// Number of robots in the scenario.
         there: usize,
     },
+    /// A scale table can't be read or fitted.
+    #[error("{name}: {reason}")]
+    Scale {
+        /// The table's file.
+        name: String,
+        /// The reason, in one line.
+        reason: String,
+    },
+    /// A signal ended a series of runs.
+    #[error("interrupted: nothing was written")]
+    Interrupted,
+    /// The options of a built-in run can't be parsed.
+    #[error("a built-in run has wrong options: {0}")]
+    Typed(String),
+    /// Only grey cameras can follow boundaries.
+    #[error("--motion boundary needs pictures: add --sensor grey-camera")]
+    BoundaryNeedsPictures,
     /// All robots together would have too many tiles.
     #[error(
         "--robots and --tiles: {robots} robots with {tiles} tiles each have more than {most} together; \
@@ -274,10 +299,13 @@ impl RunError {
             | Self::TooManyRobots { .. }
             | Self::NoSuchCamera { .. }
             | Self::OneRobot { .. }
+            | Self::Scale { .. }
+            | Self::BoundaryNeedsPictures
             | Self::TooManyTiles { .. }
             | Self::Calibrate(_)
             | Self::TurnedMap { .. } => true,
             Self::Place(fault) => fault.is_bad_input(),
+            Self::Interrupted | Self::Typed(_) => false,
             Self::Print(_) | Self::Grid(_) | Self::Picture(_) | Self::Randomness(_) => false,
         }
     }

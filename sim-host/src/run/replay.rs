@@ -109,7 +109,8 @@ fn config(robot: RobotId, bounds: Bounds, log: &Log, options: &ReplayOptions) ->
         } else {
             PoseSource::Odometry(Pose::default())
         },
-        policy: options.policy.into(),
+        policy: options.selection.policy.into(),
+        gate: options.selection.gate(),
         ..Config::new(robot, log.sensor.model(), bounds)
     }
 }

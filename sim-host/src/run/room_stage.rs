@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ubimap_agent::drive::DriveCommand;
+use ubimap_agent::{drive::DriveCommand, sense::Exposure};
 use ubimap_protocol::{
     time::{Duration, Instant},
     units::Pose,
@@ -11,12 +11,15 @@ use ubimap_protocol::{
 use super::{
     RunError, driving,
     fleet::{Event, Stage},
+    onboard::Onboard,
+    pointset::Pointset,
     scan_log::ScanLog,
     scoring::TRACK_INTERVAL,
+    vision::Vision,
 };
 use crate::{
     camera::{FrameSource, Source},
-    world::{STEP, World},
+    world::{STEP, ScanEvent, World},
 };
 
 /// Odometry is read at 20 Hz.
@@ -44,6 +47,10 @@ pub struct RoomStage {
     /// True poses of each robot, one per [`TRACK_INTERVAL`].
     tracks: Vec<Vec<Pose>>,
     log: Option<ScanLog>,
+    vision: Option<Vision>,
+    onboard: Option<Onboard>,
+    points: Option<Pointset>,
+    exposure: Exposure,
 }
 
 impl RoomStage {
@@ -61,6 +68,10 @@ impl RoomStage {
             commands: VecDeque::new(),
             tracks: vec![Vec::new(); robots],
             log: None,
+            vision: None,
+            onboard: None,
+            points: None,
+            exposure: Exposure::ANY,
         }
     }
 
@@ -77,6 +88,36 @@ impl RoomStage {
     /// Writes every scan to a log from now on.
     pub fn keep_log(&mut self, log: ScanLog) {
         self.log = Some(log);
+    }
+
+    /// Leaves out badly exposed readings, and collects the points of all scans from now on.
+    pub(super) fn keep_points(&mut self, points: Pointset, exposure: Exposure) {
+        (self.points, self.exposure) = (Some(points), exposure);
+    }
+
+    /// The points of all scans.
+    pub(super) fn points(&self) -> Option<&Pointset> {
+        self.points.as_ref()
+    }
+
+    /// Lets the robots estimate their poses without the cameras, too, from now on.
+    pub(super) fn keep_onboard(&mut self) {
+        self.onboard = Some(Onboard::new(&self.world));
+    }
+
+    /// The robots without the cameras.
+    pub(super) fn onboard(&self) -> Option<&Onboard> {
+        self.onboard.as_ref()
+    }
+
+    /// Compares every picture of a grey camera with the truth from now on.
+    pub(super) fn keep_vision(&mut self, vision: Vision) {
+        self.vision = Some(vision);
+    }
+
+    /// What the grey cameras have measured.
+    pub(super) fn vision(&self) -> Option<&Vision> {
+        self.vision.as_ref()
     }
 
     /// Finishes the log, if there is one.
@@ -156,11 +197,31 @@ impl Stage for RoomStage {
         self.advance(now);
         self.follow_tracks(now);
         self.read_wheels(now);
-        while let Some(scan) = self.world.poll_scan(now) {
+        while let Some(mut scan) = self.world.poll_scan(now) {
+            // A robot masks its readings before it looks at them.
+            let valid = |scan: &ScanEvent| scan.readings_mm.iter().filter(|it| **it > 0).count();
+            let before = valid(&scan);
+            if self.exposure.mask(&mut scan.readings_mm, &scan.light).is_ok() {
+                let masked = (before - valid(&scan)) as u64;
+                self.points.iter_mut().for_each(|points| points.masked(masked));
+            }
+            if let Some(onboard) = &mut self.onboard {
+                onboard.note(&scan, &self.world);
+            }
+            if let Some(points) = &mut self.points {
+                points.note(&scan, &self.world);
+            }
             if let Some(log) = &mut self.log {
                 log.add(&scan);
             }
             self.waiting.push_back(Event::Scan { robot: scan.robot, readings: scan.readings_mm });
+        }
+        while let Some(look) = self.world.poll_look(now) {
+            if let Some(vision) = &mut self.vision {
+                vision.note(&look);
+            }
+            let (robot, picture) = (look.robot, look.picture);
+            self.waiting.push_back(Event::Look { robot, picture });
         }
         if self.is_filmed {
             while let Some(frame) = FrameSource::poll(&mut self.world, now) {

@@ -41,6 +41,18 @@ pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     }))
 }
 
+/// Times and position errors of the robots' own pose estimates, in metres.
+pub(super) fn position_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> Vec<(Instant, f64)> {
+    let robots = fleet.robots().iter().zip(tracks);
+    let errors = robots.flat_map(|(robot, track)| {
+        robot.path().iter().filter_map(|&(moment, pose)| {
+            let truth = true_pose(track, moment)?;
+            Some((moment, (pose.x - truth.x).metres().hypot((pose.y - truth.y).metres())))
+        })
+    });
+    errors.collect()
+}
+
 /// Errors of the cameras' sightings of driving robots.
 pub fn sighting_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
     let tracks: BTreeMap<_, _> =
@@ -172,6 +184,28 @@ fn without_bodies(map: &OccupancyGrid, world: &World) -> OccupancyGrid {
         }
     }
     map
+}
+
+/// Occupied cells within a cell of a robot that stands, other than those at a surface of the room;
+/// `None` if all robots drive.
+pub(super) fn drawn_on_standing(map: &OccupancyGrid, world: &World) -> Option<u64> {
+    let standing: Vec<_> = world.robots().iter().filter(|robot| !robot.drives()).collect();
+    let surfaces: BTreeSet<_> = world.truth().surfaces.iter().copied().collect();
+    let side_m = map.resolution_m();
+    let is_drawn = |&index: &usize| {
+        let (column, row) = (index % map.width(), index / map.width());
+        let [x, y] = map.to_map([column as f64 + 0.5, row as f64 + 0.5]);
+        let cell = [x, y].map(|metres| (metres / side_m).floor() as i32);
+        let mut about =
+            (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (cell[0] + dx, cell[1] + dy)));
+        matches!(map.cell(column, row), Cell::Occupied | Cell::Movable)
+            && standing.iter().any(|robot| {
+                let pose = robot.truth();
+                (x - pose.x.metres()).hypot(y - pose.y.metres()) <= robot.radius_m() + side_m
+            })
+            && !about.any(|it| surfaces.contains(&it))
+    };
+    (!standing.is_empty()).then(|| (0..map.cells().len()).filter(is_drawn).count() as u64)
 }
 
 /// A picture of the errors of a map.

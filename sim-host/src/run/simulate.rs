@@ -3,7 +3,12 @@
 use std::{path::Path, time};
 
 use image::RgbImage;
-use ubimap_agent::{Bounds, Config, Memory, drive::Driving, sense::SensorModel};
+use ubimap_agent::{
+    Bounds, Config, Memory,
+    drive::Driving,
+    locate::PoseSource,
+    sense::{self, Camera, SensorModel},
+};
 use ubimap_protocol::{
     tile::Cell,
     time::{Duration, Instant},
@@ -16,16 +21,20 @@ use super::{
     calibration_drive,
     driving::{self, BlindGround},
     figures,
-    fleet::Fleet,
+    fleet::{Bodies, Fleet},
+    grey_robot::Sight,
     heap::{BOUNDS, check_tiles},
-    markers,
-    options::{Knock, SimulateOptions},
+    map_age::MapAge,
+    markers, network,
+    options::{Knock, MotionName, SensorName, SimulateOptions},
+    pointset::Pointset,
     progress::Progress,
     record::{Recorded, Recording},
     room_stage::RoomStage,
     scan_log::ScanLog,
     scoring,
     time_lapse::{self, TimeLapse},
+    vision::{Calibrated, Vision},
 };
 use crate::{
     camera::{Calibration, FrameSource},
@@ -35,7 +44,8 @@ use crate::{
     },
     grid::{self, OccupancyGrid},
     perception::markers::Hue,
-    report::{self, Caption, Marker},
+    recording::PixelModel,
+    report::{self, Caption, Marker, OutputFile},
     world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
 
@@ -46,6 +56,10 @@ pub const RESOLUTION: Millimetres = Millimetres(50);
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
     let Furnished { scenario, walls, world } = furnished(options)?;
+    let mut options = options.clone();
+    // Without fixed cameras the server knows no robot's pose, and leads none.
+    options.scripted |= FrameSource::cameras(&world).is_empty();
+    let options = &options;
     let calibrated = if options.calibrate {
         let (walls, registry, seed) = (walls.as_ref(), registry(&scenario), !options.run.seed);
         Some(calibration_drive::calibrated(&scenario, walls, RESOLUTION, &registry, seed)?)
@@ -53,8 +67,18 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         None
     };
     let (cameras, calibration_errors) = calibrated.unzip();
-    let configs = if options.outside.is_some() { Vec::new() } else { robots(options, &world) };
+    let vision = vision(options, &world)?;
+    let sight = vision.as_ref().map(|vision| Sight {
+        curve: vision.curve(),
+        follows_boundaries: options.motion == MotionName::Boundary,
+    });
+    let configs =
+        if options.outside.is_some() { Vec::new() } else { robots(options, sight, &world) };
     check_tiles(configs.len(), own_tiles(options))?;
+    let points = options.keeps_points(&scenario).then(|| {
+        let starts = world.robots().iter().map(SimRobot::truth);
+        Pointset::new(configs.iter().copied().zip(starts))
+    });
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
     let mut config = deployed(options, &scenario, &world);
@@ -62,13 +86,16 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         config.cameras = cameras;
     }
     let mut deployment = Deployment::new(config, life)?;
-    for robot in world.robots().iter().filter(|robot| robot.drives() && !options.scripted) {
+    for robot in world.robots().iter().filter(|robot| robot.drives() && options.is_led()) {
         deployment.explore(robot.id(), true);
     }
     let mut buffers = vec![[0; BUFFER]; if options.drivers { configs.len() } else { 0 }];
+    let bodies = match sight {
+        Some(sight) => Bodies::Grey(sight),
+        None => Bodies::Machines(&mut buffers),
+    };
     let (faults, seed) = (options.run.channel.faults(), options.run.seed);
-    let mut fleet =
-        Fleet::of_machines(&configs, &mut memory, &mut buffers, faults, seed, deployment)?;
+    let mut fleet = Fleet::of_bodies(&configs, &mut memory, bodies, faults, seed, deployment)?;
     if let Some(keeper) = keeper {
         fleet.keep(keeper);
     }
@@ -82,6 +109,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         .unwrap_or(Duration::from_micros((scenario.duration_s * 1e6).round() as u64));
     let end = Instant(0) + duration;
     let ground = BlindGround::of(&world);
+    let map_age = MapAge::of(&scenario, walls.as_ref(), RESOLUTION)?;
     let mut stage = if options.ideal_cameras {
         RoomStage::new(world, end)
     } else {
@@ -89,6 +117,15 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     };
     if !options.scripted {
         stage.hand_over();
+    }
+    if let Some(vision) = vision {
+        stage.keep_vision(vision);
+    }
+    if options.baselines {
+        stage.keep_onboard();
+    }
+    if let Some(points) = points {
+        stage.keep_points(points, options.exposure.limits());
     }
     if let Some(path) = &options.log {
         stage.keep_log(ScanLog::create(path, stage.world().robots())?);
@@ -99,6 +136,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     fleet.play(&mut stage, |fleet| {
         progress.at(fleet.now());
         ground.look(fleet);
+        map_age.look(fleet);
         time_lapse.look(fleet);
     })?;
     time_lapse.end(&fleet);
@@ -117,11 +155,27 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let sighted = scoring::sighting_errors(&fleet, stage.tracks());
     report.sighted = (!options.ideal_cameras).then_some(sighted);
     report.driving = Some(ground.summary(&fleet, stage.world()));
+    report.vision = stage.vision().map(Vision::summary);
+    report.changes = map_age.summary();
+    let errors = || scoring::position_errors(&fleet, stage.tracks());
+    report.baselines = stage.onboard().map(|onboard| onboard.summary(&errors()));
+    report.points = stage.points().map(Pointset::summary);
+    report.drawn_on_standing = scoring::drawn_on_standing(&map, stage.world());
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
-    let pictures = seen.pictures(&map, stage.world(), &time_lapse)?;
+    let mut pictures = seen.pictures(&map, stage.world(), &time_lapse)?;
+    pictures.extend(stage.vision().and_then(Vision::picture).map(|it| ("robot-view.png", it)));
+    if let Some(points) = stage.points() {
+        pictures.push(("points.png", points.picture(stage.world(), RESOLUTION.metres())));
+        if let Some(path) = &options.points {
+            OutputFile::create(path)?.finish(points.table().as_bytes())?;
+        }
+    }
     let Seen { markers, caption, .. } = seen;
-    Ok(Outcome { report, map, markers, caption, pictures, tables: Vec::new() })
+    let cameras = world_cameras(fleet.deployment(), stage.world()).map(|(camera, _)| camera);
+    let drawing = network::svg(&map, &scenario, stage.world(), cameras);
+    let tables = vec![("network.svg", drawing)];
+    Ok(Outcome { report, map, markers, caption, pictures, tables })
 }
 
 /// The requested scenario, the walls of its map, if it has one, and its world.
@@ -158,6 +212,14 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
     if options.outside.is_some() && there != 1 {
         return Err(RunError::OneRobot { there });
     }
+    for robot in &mut scenario.robots {
+        robot.identifier_askew_deg += options.identifier_askew;
+    }
+    if options.sensor == SensorName::GreyCamera {
+        for robot in &mut scenario.robots {
+            robot.sensor = robot.sensor.to_grey_camera(robot.height_m);
+        }
+    }
     if options.outside.is_some() || options.drivers {
         for robot in &mut scenario.robots {
             *robot = robot.on_create2(CAMERA.binning.side());
@@ -167,25 +229,60 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
     Ok(Furnished { scenario, walls, world })
 }
 
+/// The accuracy of the robots' grey cameras, which are calibrated before the run; `None` without them.
+fn vision(options: &SimulateOptions, world: &World) -> Result<Option<Vision>, RunError> {
+    let sensor = world.robots().iter().map(SimRobot::sensor).find(|sensor| sensor.sees_grey());
+    if sensor.is_none() && options.motion == MotionName::Boundary {
+        return Err(RunError::BoundaryNeedsPictures);
+    }
+    let vision = |sensor| Ok(Vision::new(Calibrated::of(sensor, options.run.seed)?, sensor));
+    sensor.map(vision).transpose()
+}
+
 /// Number of own tiles per robot.
 fn own_tiles(options: &SimulateOptions) -> usize {
     options.run.tiles.map_or(BOUNDS.own_tiles, |tiles| tiles as usize)
 }
 
 /// The configurations of a world's robots. They drive themselves unless the run is scripted.
-fn robots(options: &SimulateOptions, world: &World) -> Vec<Config<Option<Driving>>> {
+fn robots(
+    options: &SimulateOptions,
+    sight: Option<Sight>,
+    world: &World,
+) -> Vec<Config<Option<Driving>>> {
     let robots = world.robots().iter().map(|robot| {
-        let driving = driving::driving(robot, options.motion).filter(|_| !options.scripted);
+        let driving = driving::driving(robot, options.motion).filter(|_| options.is_led());
         let mut config = config(robot, options.run.seed).with_drive(driving);
+        if let Some(sight) = sight {
+            config = sight.configured(config);
+        }
+        config.peer_mask = options.peer_mask.into();
+        config.policy = options.selection.policy.into();
+        config.gate = options.selection.gate();
+        if options.pixel_model == PixelModel::Linear {
+            config.sensor = linear(config.sensor, robot);
+        }
+        if FrameSource::cameras(world).is_empty() {
+            config.pose_source = PoseSource::Odometry(robot.truth());
+        }
         config.bounds.own_tiles = own_tiles(options);
         config
     });
     robots.collect()
 }
 
+/// A camera whose columns are taken to have equal angles (Aluckal, equation 2); other sensors as they are.
+fn linear(sensor: SensorModel, robot: &SimRobot) -> SensorModel {
+    let SensorModel::Pinhole { focal, centre } = sensor else { return sensor };
+    let field = -2.0 * robot.sensor().first_angle_rad() as f32;
+    let pixels = sense::PixelModel::LinearAngle { field };
+    let camera = Camera { pixels, ..Camera::new((focal, focal), (centre, 0.0)) };
+    SensorModel::Row { camera, row: 0.0 }
+}
+
 /// The deployment of a scenario. Ideal cameras deliver observations instead of frames.
 fn deployed(options: &SimulateOptions, scenario: &Scenario, world: &World) -> deployment::Config {
-    let coordination = (!options.scripted).then(|| driving::coordination(world));
+    let coordination = options.is_led().then(|| driving::coordination(world));
     let is_filmed = !options.ideal_cameras;
     deployment::Config {
         coordination,

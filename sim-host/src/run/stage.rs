@@ -15,6 +15,13 @@ pub enum Event {
         /// Readings in millimetres; 0 means no return.
         readings: Vec<u16>,
     },
+    /// A robot takes a picture with its grey camera.
+    Look {
+        /// The robot's index in the fleet.
+        robot: usize,
+        /// Grey levels, top line first.
+        picture: Vec<u8>,
+    },
     /// A robot reads its odometry.
     Odometry {
         /// The robot's index in the fleet.

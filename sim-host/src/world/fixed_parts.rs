@@ -24,6 +24,8 @@ pub enum FixedOutline {
 /// An upright prism: a wall, a closed door, or a piece of furniture or part of one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FixedPart {
+    /// The name of a piece of furniture; `None` for walls and doors.
+    pub name: Option<String>,
     /// The shape seen from above.
     pub outline: FixedOutline,
     /// Height of its lower side above the floor, in metres.
@@ -40,19 +42,28 @@ impl Scenario {
     pub fn fixed_parts(&self) -> Result<Vec<FixedPart>, ScenarioError> {
         let mut drawn = self.clone();
         drawn.room.map = None;
-        let room = Room::new(&drawn, None, &[])?;
-        let part = |prism: &super::shapes::Prism| FixedPart {
-            outline: match prism.footprint.rim() {
-                Rim::Disc { centre, radius } => {
-                    FixedOutline::Disc { centre_m: centre.to_array(), radius_m: radius }
-                }
-                Rim::Corners(corners) => {
-                    FixedOutline::Polygon(corners.iter().map(|it| it.to_array()).collect())
-                }
-            },
-            bottom_m: prism.bottom,
-            top_m: prism.top,
-        };
-        Ok(room.prisms().iter().map(part).collect())
+        Ok(parts(&Room::new(&drawn, None, &[])?, self))
     }
+}
+
+/// The parts of a scenario's room as they stand in it.
+pub(super) fn parts(room: &Room, scenario: &Scenario) -> Vec<FixedPart> {
+    let name = |key: &str| {
+        let index = key.strip_prefix("furniture[")?.strip_suffix(']')?.parse::<usize>().ok()?;
+        Some(scenario.furniture.get(index)?.name.clone())
+    };
+    let part = |(prism, key): (&super::shapes::Prism, &String)| FixedPart {
+        name: name(key),
+        outline: match prism.footprint.rim() {
+            Rim::Disc { centre, radius } => {
+                FixedOutline::Disc { centre_m: centre.to_array(), radius_m: radius }
+            }
+            Rim::Corners(corners) => {
+                FixedOutline::Polygon(corners.iter().map(|it| it.to_array()).collect())
+            }
+        },
+        bottom_m: prism.bottom,
+        top_m: prism.top,
+    };
+    room.prisms().iter().zip(room.keys()).map(part).collect()
 }

@@ -3,7 +3,7 @@
 //! Read in this order: `scenario` (the TOML file) and `growth` (generated from a map), `shapes` and `room`
 //! (static geometry and ray casting), `changes` (scheduled changes), `truth` (the perfect map),
 //! `plane_pose`, `route`, `people` and `robots` (motion; `marker` and `tag`: markers on robots), `places`
-//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `mounting`, `displacement`, `render`
+//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `glare` (badly exposed pixels), `grey_eye` (grey cameras of robots), `mounting`, `displacement`, `render`
 //! and `filming` (camera frames), `passed` (ground that robots have seen), `reachable` (ground where robots
 //! can stand), `ideal_camera` and `ideal_cameras` (observations without frames). [`World`] combines them.
 //!
@@ -15,6 +15,8 @@ mod changes;
 mod displacement;
 mod filming;
 mod fixed_parts;
+mod glare;
+mod grey_eye;
 mod growth;
 mod ideal_camera;
 mod ideal_cameras;
@@ -54,14 +56,15 @@ use crate::camera::{Calibration, Frame, FrameSource, Observation, Source};
 
 pub use cadence::STEP;
 pub use fixed_parts::{FixedOutline, FixedPart};
+pub use grey_eye::{LookEvent, pictures_of_a_board};
 pub use people::Person;
 pub use robots::SimRobot;
 pub use room::WallGrid;
 pub use scenario::{
-    BUILT_IN, CameraConfig, DepthConfig, DoorConfig, FootprintConfig, FurnitureConfig, GrowConfig,
-    KnockConfig, MarkerConfig, MoveConfig, NAMED, OdometryConfig, PersonConfig, PictureConfig,
-    PostureConfig, RobotConfig, RoomConfig, RouteConfig, Scenario, ScenarioError, SensorConfig,
-    SensorPreset, StartConfig, WallConfig,
+    BUILT_IN, CameraConfig, DepthConfig, DoorConfig, FootprintConfig, FurnitureConfig, GlareConfig,
+    GrowConfig, KnockConfig, MarkerConfig, MoveConfig, NAMED, OdometryConfig, PersonConfig,
+    PictureConfig, PostureConfig, RobotConfig, RoomConfig, RouteConfig, Scenario, ScenarioError,
+    SensorConfig, SensorPreset, StartConfig, WallConfig,
 };
 pub use sensor::RangeSensor;
 pub use tag::TAGS;
@@ -70,6 +73,8 @@ pub use truth::Truth;
 use cadence::Cadence;
 use changes::Changes;
 use filming::Filming;
+use glare::Glare;
+use grey_eye::GreyEye;
 use ideal_cameras::IdealCameras;
 use passed::Passed;
 use render::{Part, Scene};
@@ -88,6 +93,8 @@ pub struct ScanEvent {
     pub taken: Instant,
     /// Range of each beam of the sensor in millimetres, from right to left; zero for no return.
     pub readings_mm: Vec<u16>,
+    /// Brightness of each column's pixel, for stereo cameras in rooms with glare; otherwise empty.
+    pub light: Vec<u8>,
     /// Odometry of the robot: `base_link` in `odom`.
     pub odometry: Pose,
     /// True pose: `base_link` in `map`. For scoring only.
@@ -120,6 +127,10 @@ pub struct World {
     now: Instant,
     contacts: Contacts,
     scans: VecDeque<ScanEvent>,
+    /// The grey camera of each robot that has one and drives.
+    eyes: Vec<Option<GreyEye>>,
+    looks: VecDeque<LookEvent>,
+    glare: Glare,
 }
 
 /// Clearance of a tour, in metres: its lines pass the centres of its cells at up to half their diagonal.
@@ -165,13 +176,20 @@ impl World {
         let robots = scenario.robots.iter().enumerate().map(|(index, config)| {
             SimRobot::new(config, index, Stream::Odometry.rng(seed, config.id.into()))
         });
+        let robots: Vec<SimRobot> = robots.collect();
+        let eyes = robots.iter().map(|robot| {
+            let sees = robot.sensor().sees_grey() && robot.drives();
+            let dice = Stream::Eye.rng(seed, robot.id().0.into());
+            sees.then(|| GreyEye::new(robot.sensor(), dice)).flatten()
+        });
+        let eyes = eyes.collect();
         let scanners = scenario.robots.iter().map(|config| {
             (Cadence::new(config.sensor.rate_hz), Stream::Scan.rng(seed, config.id.into()))
         });
         let mut world = Self {
             cameras,
             people: people.collect(),
-            robots: robots.collect(),
+            robots,
             scanners: scanners.collect(),
             room: Arc::new(room),
             changes,
@@ -184,6 +202,9 @@ impl World {
             now: Instant::default(),
             contacts: Contacts::default(),
             scans: VecDeque::new(),
+            eyes,
+            looks: VecDeque::new(),
+            glare: Glare::of(scenario),
         };
         world.measure();
         Ok(world)
@@ -239,10 +260,33 @@ impl World {
         if is_taken { self.scans.pop_front() } else { None }
     }
 
+    /// The next picture of a robot's grey camera taken by `now`, oldest first; advances the world to
+    /// `now`.
+    #[must_use]
+    pub fn poll_look(&mut self, now: Instant) -> Option<LookEvent> {
+        self.advance(now);
+        let is_taken = self.looks.front().is_some_and(|look| look.taken <= now);
+        if is_taken { self.looks.pop_front() } else { None }
+    }
+
     /// When the next scan is available; `None` without robots.
     pub fn next_scan(&self) -> Option<Instant> {
-        let waiting = self.scans.front().map(|scan| scan.taken);
+        let looks = self.looks.front().map(|look| look.taken);
+        let waiting = self.scans.front().map(|scan| scan.taken).into_iter().chain(looks).min();
         waiting.or_else(|| self.scanners.iter().map(|(cadence, _)| cadence.due()).min())
+    }
+
+    /// Distance in metres from a point to the first surface of the room in the direction of another one, at
+    /// a height; `None` if there is none within 20 m.
+    pub fn range_m(&self, from: [f64; 2], towards: [f64; 2], height_m: f64) -> Option<f64> {
+        let way = (DVec2::from(towards) - DVec2::from(from)).normalize_or_zero();
+        let hit = self.room.first_hit(DVec2::from(from).extend(height_m), way.extend(0.0), 20.0);
+        hit.map(|(_, range)| range)
+    }
+
+    /// The walls, closed doors and furniture of its scenario as they stand now.
+    pub fn fixed_parts(&self, scenario: &Scenario) -> Vec<FixedPart> {
+        fixed_parts::parts(&self.room, scenario)
     }
 
     /// The cells that a camera sees without people and robots.
@@ -344,16 +388,45 @@ impl World {
             let dice = &mut self.scanners[index].1;
             self.passed.look(index, robot, &self.room, self.cells);
             let readings_mm = robot.sensor().scan(robot.pose(), &self.room, &others, dice);
+            if robot.sensor().sees_grey() {
+                self.look(index, readings_mm);
+                continue;
+            }
+            let mut readings_mm = readings_mm;
+            let light = if self.glare.is_empty() {
+                Vec::new()
+            } else {
+                let robot = &self.robots[index];
+                let dice = &mut self.scanners[index].1;
+                self.glare.expose(robot.sensor(), robot.pose(), &mut readings_mm, dice)
+            };
+            let robot = &self.robots[index];
             self.scans.push_back(ScanEvent {
                 robot: index,
                 taken: self.now,
                 readings_mm,
+                light,
                 odometry: robot.odometry(),
                 truth: robot.truth(),
             });
         }
         self.cameras.take(self.now, &self.room, &self.robots, &self.people);
         self.filming.take(self.now, || scene(&self.room, &self.robots, &self.people));
+    }
+
+    /// Takes a picture with a robot's grey camera, if it has one that looks.
+    fn look(&mut self, index: usize, depths_mm: Vec<u16>) {
+        let (Some(eye), Some(robot)) = (self.eyes[index].as_mut(), self.robots.get(index)) else {
+            return;
+        };
+        let others = self.robots.iter().enumerate().filter(|&(other, _)| other != index);
+        let moving = others.map(|(_, robot)| robot.part());
+        let moving = moving.chain(self.people.iter().flat_map(Person::parts)).collect();
+        let scene = Scene { room: self.room.clone(), moving };
+        if let Some(picture) = eye.look(robot.sensor(), robot.pose(), &scene) {
+            let (taken, truth) = (self.now, robot.truth());
+            self.looks.push_back(LookEvent { robot: index, taken, picture, depths_mm, truth });
+        }
     }
 
     /// The prisms of the other robots and of people, as seen by a robot's sensor.

@@ -8,7 +8,7 @@ use parry2d_f64::{
 };
 
 use super::{
-    scenario::{DoorConfig, FootprintConfig, FurnitureConfig, Scenario, ScenarioError},
+    scenario::{DoorConfig, FootprintConfig, FurnitureConfig, RoomConfig, Scenario, ScenarioError},
     shapes::{Footprint, Prism},
 };
 
@@ -36,6 +36,8 @@ pub(super) struct Room {
     /// For each prism its key in the scenario.
     keys: Vec<String>,
     height: f64,
+    shade: Option<f64>,
+    seamless: bool,
     tree: Bvh,
     outline: Vec<DVec2>,
     bounds: Aabb,
@@ -78,7 +80,8 @@ impl Room {
             _ => outline_bounds(&outline, scenario.room.wall_thickness_m),
         };
         let tree = Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes);
-        Ok(Self { prisms, keys, height: scenario.room.height_m, tree, outline, bounds })
+        let RoomConfig { height_m: height, shade, seamless, .. } = scenario.room;
+        Ok(Self { prisms, keys, height, shade, seamless, tree, outline, bounds })
     }
 
     pub(super) fn prisms(&self) -> &[Prism] {
@@ -88,6 +91,16 @@ impl Room {
     /// For each prism its key in the scenario.
     pub(super) fn keys(&self) -> &[String] {
         &self.keys
+    }
+
+    /// The reflectance of all of its parts; `None` if each has its own.
+    pub(super) fn shade(&self) -> Option<f64> {
+        self.shade
+    }
+
+    /// Whether the floor has no joints.
+    pub(super) fn is_seamless(&self) -> bool {
+        self.seamless
     }
 
     /// Height of the ceiling in metres.
@@ -328,31 +341,40 @@ fn wall([from, to]: [[f64; 2]; 2], thickness: f64, height: f64) -> Prism {
 /// The prisms of a piece of furniture; `None` for a polygon without area.
 pub(super) fn furniture(config: &FurnitureConfig) -> Option<Vec<Prism>> {
     let mut parts = Vec::new();
-    let footprint = match &config.footprint {
-        FootprintConfig::Box { centre_m, size_m, heading_deg } => {
-            let (centre, size) = (DVec2::from(*centre_m), DVec2::from(*size_m));
-            let heading = heading_deg.to_radians();
-            if let Some(side) = config.legs_m {
-                let (sine, cosine) = (libm::sin(heading), libm::cos(heading));
-                let corner = (size - DVec2::splat(side)) / 2.0;
-                for (x, y) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
-                    let offset = DVec2::new(cosine, sine).rotate(corner * DVec2::new(x, y));
-                    let leg = Footprint::rectangle(centre + offset, DVec2::splat(side), heading);
-                    parts.push(Prism { footprint: leg, bottom: 0.0, top: config.bottom_m });
-                }
-            }
-            Footprint::rectangle(centre, size, heading)
+    if let (FootprintConfig::Box { centre_m, size_m, heading_deg }, Some(side)) =
+        (&config.footprint, config.legs_m)
+    {
+        let (centre, size) = (DVec2::from(*centre_m), DVec2::from(*size_m));
+        let heading = heading_deg.to_radians();
+        let (sine, cosine) = (libm::sin(heading), libm::cos(heading));
+        let corner = (size - DVec2::splat(side)) / 2.0;
+        for (x, y) in [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)] {
+            let offset = DVec2::new(cosine, sine).rotate(corner * DVec2::new(x, y));
+            let leg = Footprint::rectangle(centre + offset, DVec2::splat(side), heading);
+            parts.push(Prism { footprint: leg, bottom: 0.0, top: config.bottom_m });
         }
+    }
+    let footprint = footprint(&config.footprint)?;
+    parts.push(Prism { footprint, bottom: config.bottom_m, top: config.top_m });
+    Some(parts)
+}
+
+/// The ground under something; `None` for a polygon without area.
+pub(super) fn footprint(config: &FootprintConfig) -> Option<Footprint> {
+    match config {
+        FootprintConfig::Box { centre_m, size_m, heading_deg } => Some(Footprint::rectangle(
+            DVec2::from(*centre_m),
+            DVec2::from(*size_m),
+            heading_deg.to_radians(),
+        )),
         FootprintConfig::Disc { centre_m, radius_m } => {
-            Footprint::disc(DVec2::from(*centre_m), *radius_m)
+            Some(Footprint::disc(DVec2::from(*centre_m), *radius_m))
         }
         FootprintConfig::Polygon { points_m } => {
             let corners: Vec<DVec2> = points_m.iter().map(|&point| DVec2::from(point)).collect();
-            Footprint::polygon(&corners)?
+            Footprint::polygon(&corners)
         }
-    };
-    parts.push(Prism { footprint, bottom: config.bottom_m, top: config.top_m });
-    Some(parts)
+    }
 }
 
 /// Covers the occupied cells with few boxes: runs of a row, extended upward while the rows are equal.

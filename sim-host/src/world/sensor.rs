@@ -43,6 +43,7 @@ pub struct RangeSensor {
     rate: f64,
     noise: f64,
     noise_ratio: f64,
+    sees_grey: bool,
     optics: Optics,
 }
 
@@ -80,6 +81,18 @@ impl RangeSensor {
         self.fov / (self.beams - 1) as f64
     }
 
+    /// The direction of a beam in the sensor's frame, scaled so that a reading times the direction is the
+    /// point.
+    pub fn direction(&self, beam: usize) -> [f64; 2] {
+        match self.focal_px() {
+            Some(focal) => [1.0, ((self.beams - 1) as f64 / 2.0 - beam as f64) / focal],
+            None => {
+                let bearing = self.first_angle_rad() + beam as f64 * self.step_rad();
+                [cos(bearing), sin(bearing)]
+            }
+        }
+    }
+
     /// Number of beams or columns in a scan.
     pub fn beams(&self) -> usize {
         self.beams
@@ -100,6 +113,11 @@ impl RangeSensor {
         self.max_range
     }
 
+    /// Whether it is a grey camera, which delivers pictures instead of ranges.
+    pub fn sees_grey(&self) -> bool {
+        self.sees_grey
+    }
+
     /// Scans per second.
     pub fn rate_hz(&self) -> f64 {
         self.rate
@@ -109,7 +127,7 @@ impl RangeSensor {
         let focal = config.beams as f64 / 2.0 / tan(config.fov_deg.to_radians() / 2.0);
         let optics = match config.preset {
             SensorPreset::Beams => Optics::Fan,
-            SensorPreset::Tof100 => Optics::Pinhole { focal },
+            SensorPreset::Tof100 | SensorPreset::GreyCamera => Optics::Pinhole { focal },
             SensorPreset::Tof8 => Optics::Zones { focal },
             SensorPreset::DepthRow => {
                 let range = [config.min_range_m, config.max_range_m];
@@ -130,6 +148,7 @@ impl RangeSensor {
             rate: config.rate_hz,
             noise: config.noise_m,
             noise_ratio: config.noise_ratio,
+            sees_grey: config.preset == SensorPreset::GreyCamera,
         }
     }
 

@@ -12,6 +12,7 @@ pub(super) enum Stream {
     Odometry = 3,
     Scan = 4,
     Frame = 5,
+    Eye = 6,
 }
 
 impl Stream {

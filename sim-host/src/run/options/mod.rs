@@ -3,6 +3,7 @@
 mod keys;
 mod knock;
 mod replay;
+mod selection;
 mod simulate;
 mod values;
 
@@ -17,8 +18,9 @@ use ubimap_protocol::{
 
 pub use keys::{KeysAction, KeysOptions};
 pub use knock::Knock;
-pub use replay::{FormatChoice, PolicyName, ReplayOptions, SlicingOptions};
-pub use simulate::{MotionName, SimulateOptions};
+pub use replay::{FormatChoice, ReplayOptions, SlicingOptions};
+pub use selection::{GateName, PolicyName, SelectionOptions};
+pub use simulate::{ExposureName, MotionName, PeerMaskName, SensorName, SimulateOptions};
 pub(super) use values::{OptionError, heights, milliseconds, number, resolution, seconds};
 use values::{depth_scale, pose, probability, tolerance};
 

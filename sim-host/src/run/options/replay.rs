@@ -3,11 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use ubimap_agent::map::Policy;
 use ubimap_protocol::units::Millimetres;
 
 use super::{
-    DepthUnit, RunOptions,
+    DepthUnit, RunOptions, SelectionOptions,
     values::{max_range, resolution, robots},
 };
 use crate::recording::{DepthSlice, Format, PixelModel, Slicing, UpAxis};
@@ -36,10 +35,9 @@ pub struct ReplayOptions {
     #[arg(long, help_heading = "Robots and map", value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
     pub max_range: Millimetres,
 
-    /// Which readings are mapped, after Aluckal et al.: all; scans after a motion; without what was in
-    /// view before a turn; without what is already known
-    #[arg(long, help_heading = "Robots and map", value_name = "P", value_enum, default_value_t = PolicyName::Full)]
-    pub policy: PolicyName,
+    /// Which readings are mapped.
+    #[command(flatten)]
+    pub selection: SelectionOptions,
 
     /// How depth images become scans.
     #[command(flatten)]
@@ -101,30 +99,6 @@ impl FormatChoice {
             Self::Carmen => Some(Format::Carmen),
             Self::Mines => Some(Format::Mines),
             Self::Rgbd => Some(Format::Rgbd),
-        }
-    }
-}
-
-/// The names of the policies.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum PolicyName {
-    /// All readings of all scans.
-    Pilot,
-    /// All readings of scans after a motion.
-    Threshold,
-    /// The same, without what was in view before the robot turned.
-    Omission,
-    /// The same, without what is already known.
-    Full,
-}
-
-impl From<PolicyName> for Policy {
-    fn from(name: PolicyName) -> Self {
-        match name {
-            PolicyName::Pilot => Self::Pilot,
-            PolicyName::Threshold => Self::Threshold,
-            PolicyName::Omission => Self::Omission,
-            PolicyName::Full => Self::Full,
         }
     }
 }

@@ -3,21 +3,27 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use ubimap_agent::{map::PeerMask, sense::Exposure};
 use ubimap_protocol::time::Duration;
 
 use super::{
-    RunOptions,
+    PolicyName, RunOptions, SelectionOptions,
     knock::Knock,
-    values::{robots, seconds},
+    values::{OptionError, number, robots, seconds},
 };
-use crate::{run::outside::OutsidePorts, world::NAMED};
+use crate::{
+    recording::PixelModel,
+    run::outside::OutsidePorts,
+    world::{NAMED, Scenario},
+};
 
 /// Options of `ubimap simulate`.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Scenario")]
 pub struct SimulateOptions {
     /// A scenario: a file (TOML), or the name of a built-in one: room, warehouse,
-    /// changing, office or ahmed-2013
+    /// changing, office, ahmed-2013, ahmed-2013-b, aluckal-room or
+    /// ubislam-figure-1
     #[arg(default_value = NAMED[0].0)]
     pub scenario: PathBuf,
 
@@ -56,6 +62,36 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
     pub motion: MotionName,
 
+    /// The robots' sensor, instead of the scenario's
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t, conflicts_with_all = ["drivers", "outside", "log"])]
+    pub sensor: SensorName,
+
+    /// What robots leave out around other robots
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
+    pub peer_mask: PeerMaskName,
+
+    /// Also let the robots estimate their poses as if there were no cameras, by odometry alone and by their
+    /// own scan matching, and report the errors
+    #[arg(long, help_heading = "Results")]
+    pub baselines: bool,
+
+    /// Turn every robot's identifier by this angle on the robot, counter-clockwise, in addition to the
+    /// scenario's mounting errors
+    #[arg(long, help_heading = "Cameras and robots", value_name = "DEG", default_value_t = 0.0, value_parser = askew, allow_negative_numbers = true)]
+    pub identifier_askew: f64,
+
+    /// Which readings are mapped.
+    #[command(flatten)]
+    pub selection: SelectionOptions,
+
+    /// What a column of a robot's depth camera means
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
+    pub pixel_model: PixelModel,
+
+    /// What is done where a robot's depth camera is over- or underexposed
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
+    pub exposure: ExposureName,
+
     /// Number of robots, instead of the scenario's
     #[arg(long, help_heading = "Cameras and robots", value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
     pub robots: Option<u16>,
@@ -83,9 +119,34 @@ pub struct SimulateOptions {
     #[arg(long, help_heading = "Results", value_name = "FILE")]
     pub log: Option<PathBuf>,
 
+    /// Write the points that the robots' policy selects to this file, as x and y in metres: the pointset of
+    /// Aluckal et al.
+    #[arg(long, help_heading = "Results", value_name = "FILE.csv")]
+    pub points: Option<PathBuf>,
+
     /// Options common to all runs.
     #[command(flatten)]
     pub run: RunOptions,
+}
+
+fn askew(text: &str) -> Result<f64, OptionError> {
+    number(text, -180.0, 180.0, "degrees")
+}
+
+impl SimulateOptions {
+    /// Whether the points of the robots' scans are of interest: if they are asked for, if the room spoils
+    /// depths, or if a policy is compared.
+    pub(crate) fn keeps_points(&self, scenario: &Scenario) -> bool {
+        let compares = self.selection.policy != PolicyName::Full
+            || self.pixel_model != PixelModel::Pinhole
+            || self.exposure != ExposureName::Any;
+        self.points.is_some() || !scenario.glare.is_empty() || compares
+    }
+
+    /// Whether the server leads the robots.
+    pub(crate) fn is_led(&self) -> bool {
+        !self.scripted && self.motion != MotionName::Boundary
+    }
 }
 
 /// When self-driving robots take scans.
@@ -96,4 +157,59 @@ pub enum MotionName {
     OnTheMove,
     /// They stop for each scan until the cameras have localised them there, as Ahmed et al. did
     StopAndWait,
+    /// They follow boundaries by their pictures alone, and stop for each picture until the cameras have
+    /// localised them there, as Ahmed's robots did
+    Boundary,
+}
+
+/// Sensors that can replace those of a scenario.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SensorName {
+    /// The range sensors of the scenario
+    #[default]
+    Range,
+    /// A grey camera on each robot, whose pictures it segments onboard (Ahmed et al.)
+    GreyCamera,
+}
+
+/// What is done with over- and underexposed pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ExposureName {
+    /// Nothing: their depths are taken like all others
+    #[default]
+    Any,
+    /// Their depths are left out (Aluckal III.D, "ignoring the exposed region")
+    Mask,
+}
+
+impl ExposureName {
+    /// The brightness at which depths count.
+    pub fn limits(self) -> Exposure {
+        match self {
+            Self::Any => Exposure::ANY,
+            Self::Mask => Exposure { darkest: 8, brightest: 250 },
+        }
+    }
+}
+
+/// The shapes of the masks around other robots.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum PeerMaskName {
+    /// Their footprint, at their heading
+    #[default]
+    Footprint,
+    /// A square that contains the footprint at any heading, as Ahmed et al. did
+    Square,
+    /// Nothing is left out
+    None,
+}
+
+impl From<PeerMaskName> for PeerMask {
+    fn from(name: PeerMaskName) -> Self {
+        match name {
+            PeerMaskName::Footprint => Self::Footprint,
+            PeerMaskName::Square => Self::Square,
+            PeerMaskName::None => Self::None,
+        }
+    }
 }

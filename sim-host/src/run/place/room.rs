@@ -58,7 +58,7 @@ fn straight_map(path: &Path) -> Result<OccupancyGrid, RunError> {
 }
 
 fn obstacle(part: FixedPart) -> Obstacle {
-    let FixedPart { outline, bottom_m, top_m } = part;
+    let FixedPart { outline, bottom_m, top_m, .. } = part;
     let outline = match outline {
         FixedOutline::Disc { centre_m, radius_m } => Outline::Disc { centre_m, radius_m },
         FixedOutline::Polygon(corners) => Outline::Polygon(corners),

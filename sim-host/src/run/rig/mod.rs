@@ -150,7 +150,8 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
             match stage.poll(next) {
                 Some(Event::Scan { robot, readings }) => devices[robot].scan(&readings, next),
                 Some(Event::Frame(frame)) => senders[frame.camera].send(frame, &clock),
-                Some(Event::Odometry { .. } | Event::Observation(_)) | None => {}
+                Some(Event::Odometry { .. } | Event::Observation(_) | Event::Look { .. })
+                | None => {}
             }
         }
         for (index, devices) in devices.iter_mut().enumerate() {

@@ -226,26 +226,26 @@ fn intrinsics(width: u32, height: u32, [across, down]: [f64; 2]) -> Intrinsics {
 }
 
 /// One of a camera's sensors.
-struct Imager {
-    pinhole: Pinhole,
+pub(super) struct Imager {
+    pub(super) pinhole: Pinhole,
     /// The static room.
-    room: Canvas,
+    pub(super) room: Canvas,
     /// The room, with moving parts while a frame is captured.
-    canvas: Canvas,
+    pub(super) canvas: Canvas,
 }
 
 impl Imager {
-    fn new(pinhole: Pinhole, channels: usize) -> Self {
+    pub(super) fn new(pinhole: Pinhole, channels: usize) -> Self {
         let canvas = Canvas::new(&pinhole, channels);
         Self { pinhole, room: canvas.clone(), canvas }
     }
 
-    fn draw_room(&mut self, room: &Room, clip: &Rectangle) {
-        self.room.clear(&self.pinhole, room.height(), clip);
+    pub(super) fn draw_room(&mut self, room: &Room, clip: &Rectangle) {
+        self.room.clear(&self.pinhole, room, clip);
         for (prism, key) in room.prisms().iter().zip(room.keys()) {
             let bounds = self.pinhole.bounds(prism).within(clip);
             if !bounds.is_empty() {
-                let part = Part { prism: prism.clone(), paint: paint_of(key) };
+                let part = Part { prism: prism.clone(), paint: paint_of(key, room.shade()) };
                 self.room.draw(&self.pinhole, &part, &bounds);
             }
         }
@@ -265,7 +265,7 @@ impl Imager {
     }
 
     /// Draws moving parts and returns their regions.
-    fn draw(&mut self, parts: &[Part]) -> Vec<Rectangle> {
+    pub(super) fn draw(&mut self, parts: &[Part]) -> Vec<Rectangle> {
         let bounds = parts.iter().map(|part| self.pinhole.bounds(&part.prism));
         let bounds: Vec<Rectangle> = bounds.collect();
         for (part, bounds) in parts.iter().zip(&bounds).filter(|(_, bounds)| !bounds.is_empty()) {
@@ -283,7 +283,10 @@ impl Imager {
 }
 
 /// The paint of the part of a room with this scenario key.
-fn paint_of(key: &str) -> Paint {
+fn paint_of(key: &str, shade: Option<f64>) -> Paint {
+    if let Some(shade) = shade {
+        return Paint::grey(shade as f32);
+    }
     if key.starts_with("room.") {
         return paint::WALL;
     }

@@ -3,7 +3,7 @@
 use parry2d_f64::glamx::{Vec2, Vec3};
 
 use super::{
-    super::marker::Colour,
+    super::{marker::Colour, room::Room},
     paint::{self, Paint},
     pinhole::{Pinhole, Rectangle},
     scene::Part,
@@ -36,7 +36,8 @@ impl Canvas {
     }
 
     /// Draws an empty room: floor and ceiling.
-    pub(super) fn clear(&mut self, pinhole: &Pinhole, ceiling: f64, clip: &Rectangle) {
+    pub(super) fn clear(&mut self, pinhole: &Pinhole, room: &Room, clip: &Rectangle) {
+        let (ceiling, is_seamless) = (room.height(), room.is_seamless());
         for row in clip.top..clip.bottom {
             self.depth[row * self.width..][clip.left..clip.right].fill(f32::INFINITY);
         }
@@ -45,7 +46,7 @@ impl Canvas {
             let (height, face) =
                 if way.z < 0.0 { (floor, Face::Top) } else { (ceiling, Face::Bottom) };
             let colour = move |point| match face {
-                Face::Top => paint::floor(point),
+                Face::Top => paint::floor(point, is_seamless),
                 _ => paint::CEILING,
             };
             (way.z != 0.0).then(|| (Hit { at: height / way.z, face }, colour))

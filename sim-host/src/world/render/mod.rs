@@ -3,10 +3,11 @@
 //! Upright prisms are drawn one by one into a depth buffer (`pinhole`: which pixels, `solid`: ray
 //! intersections, `canvas`: the nearest wins). The static room is rendered once per camera. For each frame
 //! the moving parts are drawn into a copy, `noise` is added, and the copy is restored where something
-//! was drawn.
+//! was drawn. A `grey_camera` on a robot renders all of each picture.
 
 mod camera;
 mod canvas;
+mod grey_camera;
 mod noise;
 mod paint;
 mod pinhole;
@@ -14,5 +15,6 @@ mod scene;
 mod solid;
 
 pub(super) use camera::FrameCamera;
+pub(super) use grey_camera::GreyCamera;
 pub(super) use paint::Paint;
 pub(super) use scene::{Part, Scene};

@@ -35,6 +35,11 @@ pub(in super::super) enum Paint {
 pub(super) const WALL: Paint = Paint::Grained([0.62, 0.61, 0.58], 0);
 
 impl Paint {
+    /// Grey with this mean reflectance.
+    pub(in super::super) const fn grey(shade: f32) -> Self {
+        Self::Grained([shade; 3], 0)
+    }
+
     /// Paint for furniture and people: each number has its own colour.
     pub(in super::super) fn numbered(number: u32) -> Self {
         let part = |salt: u32| 0.16 + 0.44 * unit(hash(number, salt, 77));
@@ -78,11 +83,11 @@ impl Paint {
     }
 }
 
-/// The colour of the floor: tiles of 0.6 m with joints and worn spots.
-pub(super) fn floor(point: Vec3) -> Colour {
+/// The colour of the floor: worn spots on tiles of 0.6 m, with joints unless it is seamless.
+pub(super) fn floor(point: Vec3, is_seamless: bool) -> Colour {
     let tile = Vec2::new(point.x, point.y) / 0.6;
     let (column, row) = (floor_of(tile.x), floor_of(tile.y));
-    let joint = (tile.x - column as f32).min(tile.y - row as f32) < 0.012;
+    let joint = !is_seamless && (tile.x - column as f32).min(tile.y - row as f32) < 0.012;
     let own = unit(hash(column as u32, row as u32, 5));
     let worn = noise(point.x * 1.3, point.y * 1.3, 6);
     let speck = noise(point.x * 60.0, point.y * 60.0, 7);

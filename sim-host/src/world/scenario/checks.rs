@@ -68,6 +68,9 @@ impl Scenario {
     fn check_room(&self) -> Result<(), ScenarioError> {
         let room = &self.room;
         self.number("room.height_m", room.height_m, 0.1..=100.0)?;
+        if let Some(shade) = room.shade {
+            self.number("room.shade", shade, 0.0..=1.0)?;
+        }
         self.number("room.wall_thickness_m", room.wall_thickness_m, 0.001..=10.0)?;
         match (&room.map, room.outline_m.len()) {
             (None, 0..=2) => {
@@ -292,6 +295,10 @@ impl Scenario {
         self.angle(&key_of("askew_deg"), sensor.askew_deg)?;
         let widest = if sensor.preset == SensorPreset::Beams { 360.0 } else { 170.0 };
         self.number(&key_of("fov_deg"), sensor.fov_deg, 0.1..=widest)?;
+        if sensor.preset == SensorPreset::GreyCamera && sensor.beams != 320 {
+            let problem = format!("is {}; a grey camera has 320", sensor.beams);
+            return Err(self.invalid(key_of("beams"), problem));
+        }
         if !(2..=4096).contains(&sensor.beams) {
             let problem = format!("is {}; give a number from 2 to 4096", sensor.beams);
             return Err(self.invalid(key_of("beams"), problem));

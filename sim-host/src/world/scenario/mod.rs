@@ -23,12 +23,15 @@ pub use robot::{
 pub const BUILT_IN: &str = include_str!("../../../scenarios/room.toml");
 
 /// All built-in scenarios by name; the first is the default.
-pub const NAMED: [(&str, &str); 5] = [
+pub const NAMED: [(&str, &str); 8] = [
     ("room", BUILT_IN),
     ("warehouse", include_str!("../../../scenarios/warehouse.toml")),
     ("changing", include_str!("../../../scenarios/changing.toml")),
     ("office", include_str!("../../../scenarios/office.toml")),
     ("ahmed-2013", include_str!("../../../scenarios/ahmed-2013.toml")),
+    ("ahmed-2013-b", include_str!("../../../scenarios/ahmed-2013-b.toml")),
+    ("aluckal-room", include_str!("../../../scenarios/aluckal-room.toml")),
+    ("ubislam-figure-1", include_str!("../../../scenarios/ubislam-figure-1.toml")),
 ];
 
 /// Why a scenario can't be simulated. Each error is one line that names the file, and the line or
@@ -109,6 +112,9 @@ pub struct Scenario {
     /// Doors in gaps of the walls.
     #[serde(default)]
     pub doors: Vec<DoorConfig>,
+    /// Where the light is too bright or too dark for the depth cameras of robots.
+    #[serde(default)]
+    pub glare: Vec<GlareConfig>,
     /// Cameras, robots and people to be placed automatically in a map.
     pub grow: Option<GrowConfig>,
     /// The fixed cameras.
@@ -137,8 +143,25 @@ pub struct RoomConfig {
     /// Walls inside the room.
     #[serde(default)]
     pub walls: Vec<WallConfig>,
+    /// Reflectance of everything that stands in the room, from 0 to 1; by default walls are of plaster and
+    /// furniture is of woods of many shades, some of which look like the floor to a grey camera.
+    pub shade: Option<f64>,
+    /// Whether the floor has no joints between tiles: to a grey camera they look like boundaries.
+    #[serde(default)]
+    pub seamless: bool,
     /// A ROS map (`map.yaml`, relative to the scenario) whose occupied cells are walls.
     pub map: Option<PathBuf>,
+}
+
+/// Surfaces that are over- or underexposed in the pictures of robots' stereo cameras: their depths are
+/// arbitrary or missing.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GlareConfig {
+    /// The ground under the surfaces.
+    pub footprint: FootprintConfig,
+    /// Brightness of the surfaces' pixels, from 0 to 255; others have 128.
+    pub brightness: u8,
 }
 
 /// Numbers of cameras, robots and people to be placed in a map.

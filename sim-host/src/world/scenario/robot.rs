@@ -150,6 +150,9 @@ pub enum SensorPreset {
     /// The row just above the horizon of a time-of-flight sensor with 8 x 8 zones and a field of view of 45
     /// degrees. A zone is a wide cone that reports its nearest return.
     Tof8,
+    /// A grey camera that looks ahead over the floor, 320 x 240 pixels with a field of view of 90 degrees
+    /// (Ahmed 2.1). It delivers pictures, and `noise_m` and `noise_ratio` are ignored.
+    GreyCamera,
 }
 
 impl SensorPreset {
@@ -187,6 +190,16 @@ impl SensorPreset {
                 noise_ratio: 0.01,
                 ..beams
             },
+            Self::GreyCamera => SensorConfig {
+                fov_deg: 90.0,
+                beams: GREY_COLUMNS,
+                min_range_m: 0.0,
+                max_range_m: 2.0,
+                rate_hz: 5.0,
+                noise_m: 0.0,
+                noise_ratio: 0.0,
+                ..beams
+            },
             Self::Tof8 => SensorConfig {
                 fov_deg: 45.0,
                 beams: 8,
@@ -199,7 +212,19 @@ impl SensorPreset {
     }
 }
 
+/// Columns of a grey camera.
+const GREY_COLUMNS: usize = 320;
+/// Distance of a grey camera below the top of its robot, in metres.
+const BELOW_TOP_M: f64 = 0.01;
+
 impl SensorConfig {
+    /// A grey camera in the place of this sensor, just below the top of a robot of this height.
+    pub fn to_grey_camera(&self, robot_height_m: f64) -> Self {
+        let &Self { x_m, y_m, heading_deg, askew_deg, .. } = self;
+        let height_m = (robot_height_m - BELOW_TOP_M).max(BELOW_TOP_M);
+        Self { x_m, y_m, height_m, heading_deg, askew_deg, ..SensorPreset::GreyCamera.sensor() }
+    }
+
     /// An A010 depth camera with this number of columns, mounted as this sensor.
     fn to_a010(&self, columns: usize) -> Self {
         let &Self { x_m, y_m, height_m, heading_deg, askew_deg, .. } = self;
