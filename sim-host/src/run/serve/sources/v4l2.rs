@@ -26,7 +26,7 @@ use crate::{
 };
 
 /// Interval between looks for a device that is away.
-const RETRY: RealTime = RealTime::from_millis(250);
+const RETRY: RealTime = RealTime::from_millis(100);
 /// A device without an image for this long is opened again.
 const SILENT: RealTime = RealTime::from_secs(1);
 /// Maximum age of an image at its arrival; the stamp of an older one is wrong.
