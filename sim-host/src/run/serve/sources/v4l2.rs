@@ -19,10 +19,11 @@ use moq_v4l::{
 use nix::time::{ClockId, clock_gettime};
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::{Clock, LiveFrame, LiveSource};
+use super::live_source::{LiveFrame, LiveSource};
 use crate::{
     camera::{Frame, PixelFormat},
     channel::wire::WireError,
+    run::serve::clock::Clock,
 };
 
 /// Interval between looks for a device that is away.
