@@ -1,5 +1,6 @@
 //! Where live frames come from: a trait, and the sources that implement it.
 
+mod live_source;
 mod recording;
 mod stream;
 #[cfg(target_os = "linux")]
@@ -7,34 +8,12 @@ mod v4l2;
 
 use std::path::Path;
 
-use ubimap_protocol::time::Instant;
-
-use super::clock::Clock;
 use crate::{
-    camera::{Calibration, Frame, SenderClock},
+    camera::Calibration,
     channel::wire::WireError,
     run::deployment_file::{CameraSource, DeployedCamera},
 };
-
-/// A source of frames in real time, read by a thread of its own.
-pub(super) trait LiveSource: Send {
-    /// Waits for the next frame. A source that fails says so and waits until it is back. `None` if there
-    /// will be no more frames.
-    fn next(&mut self, clock: &Clock) -> Option<LiveFrame>;
-}
-
-/// A frame of a live source.
-#[derive(Debug)]
-pub(super) struct LiveFrame {
-    /// The frame; its camera is the index in the deployment.
-    pub(super) frame: Frame,
-    /// When it arrived.
-    pub(super) at: Instant,
-    /// The clock of its sender, if that is another than the server's.
-    pub(super) sender: Option<SenderClock>,
-    /// Whether it waits until perception has taken the frame before, instead of replacing it.
-    pub(super) waits: bool,
-}
+pub(super) use live_source::{LiveFrame, LiveSource};
 
 /// Opens the sources of all cameras. The recorded folders are one source: their frames share a clock, and
 /// are played in the order in which they arrived, all of them if `every_frame`.

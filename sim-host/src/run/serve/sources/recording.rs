@@ -2,11 +2,12 @@
 
 use std::{path::PathBuf, thread};
 
-use super::{Clock, LiveFrame, LiveSource};
+use super::live_source::{LiveFrame, LiveSource};
 use crate::{
     camera::{Frame, FrameSource},
     channel::wire::WireError,
     recording::{FramesError, Reading, RecordedFrames},
+    run::serve::clock::Clock,
 };
 
 /// Plays the frames of one or more cameras. The zero of the recording's time is that of the server's clock.

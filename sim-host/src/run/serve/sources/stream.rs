@@ -7,13 +7,14 @@ use std::{
     thread, time,
 };
 
-use super::{Clock, LiveFrame, LiveSource};
+use super::live_source::{LiveFrame, LiveSource};
 use crate::{
     camera::{
         Frame, SenderClock,
         stream::{self, StreamedFrame},
     },
     channel::wire::WireError,
+    run::serve::clock::Clock,
 };
 
 /// Time after which a silent sender's connection is closed.

@@ -19,14 +19,15 @@ use moq_v4l::{
 use nix::time::{ClockId, clock_gettime};
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::{Clock, LiveFrame, LiveSource};
+use super::live_source::{LiveFrame, LiveSource};
 use crate::{
     camera::{Frame, PixelFormat},
     channel::wire::WireError,
+    run::serve::clock::Clock,
 };
 
 /// Interval between looks for a device that is away.
-const RETRY: RealTime = RealTime::from_millis(250);
+const RETRY: RealTime = RealTime::from_millis(100);
 /// A device without an image for this long is opened again.
 const SILENT: RealTime = RealTime::from_secs(1);
 /// Maximum age of an image at its arrival; the stamp of an older one is wrong.
