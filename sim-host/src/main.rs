@@ -30,7 +30,11 @@ use ubimap_sim_host::{
         place::{self, options::PlaceOptions},
         replay,
         robot::{self, RobotOptions},
-        serve, simulate, terminal, watch,
+        serve::{
+            self,
+            recording::{self, RecordOptions},
+        },
+        simulate, terminal, watch,
     },
 };
 
@@ -66,6 +70,8 @@ enum Command {
     Calibrate(CalibrateOptions),
     /// Serve cameras and robots, live
     Serve(ServeOptions),
+    /// Record the frames of a deployment's cameras, for calibrate and watch
+    Record(RecordOptions),
     /// Run a robot's program on a computer with serial ports
     Robot(RobotOptions),
     /// Play the outside world: a simulated room with cameras and robots' devices, for serve and robot
@@ -143,6 +149,7 @@ fn main() -> ExitCode {
         Command::Robot(options) => robot::run(&options).map(|()| ExitCode::SUCCESS),
         #[cfg(target_os = "linux")]
         Command::Rig(options) => rig::run(&options).and_then(|it| answered(&json_pretty(&it))),
+        Command::Record(options) => recording::run(&options).and_then(|it| answered(&it)),
         Command::Init(options) => init(&options),
         Command::Go(options) => options.run().and_then(|answer| answered(&answer)),
         Command::Stop(options) => options.run("stop").and_then(|answer| answered(&answer)),

@@ -6,7 +6,7 @@
 //!
 //! The core (`station`) is one thread. Others wait at each port (`links`), for each camera's frames
 //! (`cameras`) and for commands, and one looks at the newest frames (`perceiving`); they put what they have
-//! into the core's queue (`message`).
+//! into the core's queue (`message`). `recording` is a command of its own.
 
 mod attached;
 mod bench_camera;
@@ -15,6 +15,7 @@ mod links;
 mod live_keys;
 mod message;
 mod perceiving;
+pub mod recording;
 mod results;
 mod robots;
 mod standing;
