@@ -172,8 +172,8 @@ fn overlap_counts_where_markers_can_be_read() {
     let plan = room(20.0, 15.0);
     let four = Request { aim: Aim::Cameras(4), connect: true, ..request(0.5) };
     let [height] = four.choices.heights_m[..] else { panic!("one height") };
-    // A marker that can be read from just the height is read straight below a camera alone.
-    for (readable_m, pieces) in [(1.01 * height, 4), (10.0 * height, 1)] {
+    // From the ceiling, a marker that can't be read from its height is read nowhere.
+    for (readable_m, pieces) in [(0.99 * height, 4), (10.0 * height, 1)] {
         let request = Request { readable_m, ..four.clone() };
         let placed = place_within(&plan, &request, 3_000).unwrap();
         assert_eq!((placed.cameras.len(), placed.pieces), (4, pieces), "{readable_m} m");
