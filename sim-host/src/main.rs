@@ -32,7 +32,11 @@ use ubimap_sim_host::{
         reproduce::{self, ReproduceOptions},
         robot::{self, RobotOptions},
         scale::{self, ScaleOptions},
-        serve, simulate, terminal, watch,
+        serve::{
+            self,
+            recording::{self, RecordOptions},
+        },
+        simulate, terminal, watch,
     },
 };
 
@@ -68,6 +72,8 @@ enum Command {
     Calibrate(CalibrateOptions),
     /// Serve cameras and robots, live
     Serve(ServeOptions),
+    /// Record the frames of a deployment's cameras, for calibrate and watch
+    Record(RecordOptions),
     /// Run a robot's program on a computer with serial ports
     Robot(RobotOptions),
     /// Play the outside world: a simulated room with cameras and robots' devices, for serve and robot
@@ -150,6 +156,7 @@ fn main() -> ExitCode {
         Command::Robot(options) => robot::run(&options).map(|()| ExitCode::SUCCESS),
         #[cfg(target_os = "linux")]
         Command::Rig(options) => rig::run(&options).and_then(|it| answered(&json_pretty(&it))),
+        Command::Record(options) => recording::run(&options).and_then(|it| answered(&it)),
         Command::Init(options) => init(&options),
         Command::Go(options) => options.run().and_then(|answer| answered(&answer)),
         Command::Stop(options) => options.run("stop").and_then(|answer| answered(&answer)),

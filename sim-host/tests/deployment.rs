@@ -4,6 +4,7 @@
 use std::{
     fs,
     io::{BufRead, BufReader},
+    os::unix::net::UnixStream,
     path::{Path, PathBuf},
     process::{Child, Command, Output, Stdio},
     sync::mpsc,
@@ -12,7 +13,13 @@ use std::{
 };
 
 use serde_json::Value;
-use ubimap_sim_host::grid;
+use ubimap_sim_host::{
+    camera::{
+        DepthImage,
+        stream::{self, StreamedFrame},
+    },
+    grid,
+};
 
 /// How long a process may take to do what is waited for.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -83,7 +90,7 @@ impl Lab {
         let lab = Self { folder, port: free.port() };
         let robots = [1, 2]
             .map(|id| format!("[[robots]]\nid = {id}\nmarker_size_m = 0.1\nheight_m = 0.3\n"));
-        let text = format!("ports = [\"udp:{}\"]\n{more}\n{}", lab.port, robots.concat());
+        let text = format!("ports = [\"udp:{}\"]\n{more}\n\n{}", lab.port, robots.concat());
         lab.file("deployment.toml", &text);
         lab
     }
@@ -192,6 +199,45 @@ fn a_sealed_robot_is_served_after_every_boot_and_keys_change_while_all_run() {
     let report: Value = serde_json::from_str(&server.end()).unwrap();
     let robots = report["robots"].as_array().unwrap();
     assert_eq!((robots.len(), &robots[1]["session"]), (2, &Value::Bool(false)), "{report}");
+}
+
+/// What a camera sends is recorded under its name, for `watch` and `calibrate`, which need no pose.
+#[test]
+fn the_frames_of_a_camera_are_recorded() {
+    let depth = "depth = { width = 40, height = 30, fx = 30.0, fy = 30.0, cx = 19.5, cy = 14.5 }";
+    let camera = format!("[[cameras]]\nname = \"north\"\nsource = \"stream:north.sock\"\n{depth}");
+    let lab = Lab::new("recorded", &camera);
+    let recording = lab.start(&["record", "deployment.toml", "rec"]);
+    let began = Instant::now();
+    let mut sender = loop {
+        match UnixStream::connect(lab.folder.join("north.sock")) {
+            Ok(sender) => break sender,
+            Err(error) => assert!(began.elapsed() < PATIENCE, "{error}"),
+        }
+    };
+    let images = lab.folder.join("rec/north/depth");
+    let count = || fs::read_dir(&images).map_or(0, Iterator::count);
+    for number in 1..=3 {
+        let depth = Some(DepthImage::from_pixel(40, 30, image::Luma([1_000 + number as u16])));
+        let (captured, sent) = (number * 100_000, number * 100_000 + 1_000);
+        let frame = StreamedFrame { captured, sent, depth, picture: None };
+        stream::write(&mut sender, &frame).unwrap();
+        while count() < number as usize {
+            assert!(began.elapsed() < PATIENCE, "frame {number} is not recorded");
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+    let told = recording.end();
+    assert!(told.starts_with("camera north: 3 frames\nrecorded in rec; "), "{told}");
+    let watched = lab.print(&["watch", "rec", "--json", "--out", "watched"]);
+    let report: Value = serde_json::from_str(&watched).unwrap();
+    assert_eq!(
+        (&report["cameras"][0]["name"], &report["cameras"][0]["frames"]),
+        (&"north".into(), &3.into())
+    );
+    // A second recording does not mix with it.
+    let again = lab.run(&["record", "deployment.toml", "rec"]);
+    assert!(String::from_utf8(again.stderr).unwrap().contains("not empty"));
 }
 
 /// `status`, `go` and the floor, with a robot whose pose nobody knows.

@@ -50,6 +50,9 @@ pub struct Request {
     pub model: CameraModel,
     /// What the cameras' pictures see, in which calibration finds landmarks.
     pub picture: CameraModel,
+    /// The distance in metres at which a picture shows a marker that faces it just large enough to be read; infinite
+    /// if any size will do.
+    pub readable_m: f64,
     /// The possible places and orientations of the cameras.
     pub choices: Choices,
     /// The minimum number of cameras that must see a cell for it to count as covered: the paper's
@@ -283,9 +286,11 @@ pub fn place(
     let shared = (SHARED_M2 / (plan.side_m() * plan.side_m())).ceil().max(1.0) as u16;
     let fewest_pieces = connection::fewest_pieces(&programme);
     let before = chosen.len();
-    let pictures = (request.picture != request.model).then(|| {
+    let is_other = request.picture != request.model || request.readable_m.is_finite();
+    let pictures = is_other.then(|| {
         let whole = request.picture.narrowed(MARKER_SHARE);
-        let sees = area.numbered(&coverage(plan, request.projection, &whole, &candidates));
+        let sees = coverage(plan, request.projection, &whole, &candidates);
+        let sees = area.numbered(&readable(plan, request.readable_m, &candidates, &sees));
         let sees = area.passable(plan, &sees);
         let seen_by = sees.transpose(programme.demands.len());
         (sees, seen_by)
@@ -313,6 +318,26 @@ pub fn place(
         pieces,
         fewest_pieces,
     })
+}
+
+/// The cells in which a marker that lies flat is large enough in the picture. At a distance `d`, from a height `h`, it is
+/// seen at an angle whose sine is `h / d`, so that its picture is as high as that of one that faces the camera at
+/// `d * d / h`.
+fn readable(
+    plan: &FloorPlan,
+    readable_m: f64,
+    candidates: &[Candidate],
+    sees: &Incidence,
+) -> Incidence {
+    Incidence::from_rows(sees.iter().zip(candidates).map(|(cells, candidate)| {
+        let [x, y, height] = candidate.position_m;
+        let is_readable = |cell: &u32| {
+            let [cell_x, cell_y] = plan.cells()[*cell as usize].aim_m;
+            let squared = (cell_x - x).powi(2) + (cell_y - y).powi(2) + height * height;
+            squared <= readable_m * height
+        };
+        cells.iter().copied().filter(is_readable).collect::<Vec<u32>>()
+    }))
 }
 
 fn check(request: &Request) -> Result<(), PlacementError> {

@@ -22,12 +22,19 @@ pub struct CameraMove {
     pub pose: Option<[f64; 6]>,
 }
 
-impl fmt::Display for CameraMove {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "camera {}: {} at {:.1} s", self.camera, self.what, self.at_s)?;
+impl CameraMove {
+    /// The movement of a camera with this name.
+    pub(super) fn write(&self, name: impl fmt::Display, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "camera {name}: {} at {:.1} s", self.what, self.at_s)?;
         if let (Some(metres), Some(degrees)) = (self.shift_m, self.turn_deg) {
             write!(f, ", by {:.1} cm and {degrees:.2} degrees", 100.0 * metres)?;
         }
         Ok(())
+    }
+}
+
+impl fmt::Display for CameraMove {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.write(self.camera, f)
     }
 }

@@ -200,7 +200,13 @@ impl fmt::Display for ServeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.robots.iter().try_for_each(|robot| writeln!(f, "{robot}"))?;
         self.cameras.iter().try_for_each(|camera| writeln!(f, "{camera}"))?;
-        self.camera_moves.iter().try_for_each(|it| writeln!(f, "{it}"))?;
+        for moved in &self.camera_moves {
+            match self.cameras.get(moved.camera) {
+                Some(camera) => moved.write(&camera.name, f)?,
+                None => write!(f, "{moved}")?,
+            }
+            writeln!(f)?;
+        }
         for port in &self.ports {
             match port.robot {
                 Some(robot) => write!(f, "{}: robot {robot}", port.port)?,

@@ -19,4 +19,4 @@ pub use image_region::ImageRegion;
 pub use locate::{NotThere, Placement, locate};
 pub use marker::{Hue, Identifier, Marker};
 pub use mount::Mount;
-pub use tag::TagDetector;
+pub use tag::{LEAST_HEIGHT_PX, TagDetector};

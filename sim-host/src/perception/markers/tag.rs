@@ -26,6 +26,9 @@ const MIN_SIDE_PX: u32 = 12;
 /// Alignment of rows in the detector's images, in bytes.
 const ALIGNMENT: usize = 96;
 
+/// Least height of a tag's picture, in pixels, at which tags are found in every heading: its side, seen at an angle.
+pub const LEAST_HEIGHT_PX: f64 = 12.0;
+
 /// Detects AprilTags.
 #[derive(Debug)]
 pub struct TagDetector {

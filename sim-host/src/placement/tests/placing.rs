@@ -19,6 +19,7 @@ fn request(spacing_m: f64) -> Request {
         projection: Projection::Paper,
         model,
         picture: model,
+        readable_m: f64::INFINITY,
         choices: Choices {
             heights_m: vec![3.0],
             tilts_deg: vec![90.0],
@@ -163,6 +164,20 @@ fn coverage_is_given_up_to_connect_a_number_of_cameras() {
     assert_eq!((connected.cameras.len(), connected.pieces), (4, 1));
     // Connecting four cameras takes at least three shared cells.
     assert!((220..=4 * 63 - 3).contains(&connected.value), "{} cells", connected.value);
+}
+
+/// Overlap in which no marker can be read connects nothing.
+#[test]
+fn overlap_counts_where_markers_can_be_read() {
+    let plan = room(20.0, 15.0);
+    let four = Request { aim: Aim::Cameras(4), connect: true, ..request(0.5) };
+    let [height] = four.choices.heights_m[..] else { panic!("one height") };
+    // From the ceiling, a marker that can't be read from its height is read nowhere.
+    for (readable_m, pieces) in [(0.99 * height, 4), (10.0 * height, 1)] {
+        let request = Request { readable_m, ..four.clone() };
+        let placed = place_within(&plan, &request, 3_000).unwrap();
+        assert_eq!((placed.cameras.len(), placed.pieces), (4, pieces), "{readable_m} m");
+    }
 }
 
 #[test]

@@ -34,19 +34,37 @@ struct CameraWriter {
 }
 
 impl Recorder {
-    /// Creates a folder for the frames of these cameras and writes their calibrations.
+    /// Creates a folder for the frames of these cameras and writes their calibrations. Their folders are named
+    /// by their numbers.
     ///
     /// # Errors
     /// [`LogError::Io`] if the folder cannot be written to, or is not empty.
     pub fn create(folder: &Path, cameras: &[Calibration]) -> Result<Self, LogError> {
+        let named = cameras.iter().enumerate();
+        let named = named.map(|(index, camera)| (format!("camera-{index:02}"), *camera));
+        Self::create_named(folder, &named.collect::<Vec<_>>())
+    }
+
+    /// As [`Recorder::create`], with the names of the cameras' folders.
+    ///
+    /// # Errors
+    /// [`LogError::Io`]; also if a name is not that of a folder.
+    pub fn create_named(
+        folder: &Path,
+        cameras: &[(String, Calibration)],
+    ) -> Result<Self, LogError> {
         let refuse = |error| LogError::Io { path: folder.to_owned(), error };
         fs::create_dir_all(folder).map_err(refuse)?;
         if fs::read_dir(folder).map_err(refuse)?.next().is_some() {
             let reason = "the folder is not empty; record to another one";
             return Err(refuse(io::Error::other(reason)));
         }
-        let cameras = cameras.iter().enumerate().map(|(index, camera)| {
-            CameraWriter::create(folder.join(format!("camera-{index:02}")), camera)
+        let cameras = cameras.iter().map(|(name, camera)| {
+            if Path::new(name).file_name() != Some(name.as_ref()) {
+                let reason = format!("no folder can be named as the camera {name:?}; rename it");
+                return Err(refuse(io::Error::other(reason)));
+            }
+            CameraWriter::create(folder.join(name), camera)
         });
         Ok(Self { cameras: cameras.collect::<Result<_, _>>()? })
     }

@@ -118,6 +118,8 @@ fn request(
         projection: options.model.into(),
         model: camera.view,
         picture: camera.picture,
+        // The paper's cameras see all that they cover.
+        readable_m: if is_paper { f64::INFINITY } else { camera.readable_m },
         choices: Choices {
             heights_m: or(&options.height, &[height_m]),
             tilts_deg: or(&options.tilt, if is_paper { &[90.0] } else { &[90.0, 60.0, 45.0] }),

@@ -31,6 +31,11 @@ pub struct PlaceOptions {
     #[arg(long, value_name = "H,V", value_parser = fields, allow_negative_numbers = true)]
     pub picture_fov: Option<[f64; 2]>,
 
+    /// Side of the robots' markers in metres, as `marker_size_m` of a robot: only where both pictures show it
+    /// large enough to be read, overlap counts
+    #[arg(long, value_name = "M", default_value = "0.1", value_parser = marker, allow_negative_numbers = true)]
+    pub marker: f64,
+
     /// Heights at which cameras may hang, in metres [default: 0.1 m below a scenario's ceiling, 3 m
     /// in a map]
     #[arg(long, value_name = "M,...", value_delimiter = ',', value_parser = height, allow_negative_numbers = true)]
@@ -196,6 +201,10 @@ fn fields(text: &str) -> Result<[f64; 2], OptionError> {
     let (horizontal, vertical) = text.split_once(',').unwrap_or((text, ""));
     let field = |text: &str| number(text.trim(), 1.0, 170.0, "degrees");
     Ok([field(horizontal)?, field(vertical)?])
+}
+
+fn marker(text: &str) -> Result<f64, OptionError> {
+    number(text, 0.02, 2.0, "m")
 }
 
 fn tilt(text: &str) -> Result<f64, OptionError> {

@@ -8,6 +8,7 @@ use super::{fault::PlaceFault, options::PlaceOptions};
 use crate::{
     files,
     grid::{self, OccupancyGrid, raster},
+    perception::markers::LEAST_HEIGHT_PX,
     placement::{
         camera::CameraModel,
         floor_plan::{Enclosure, FloorPlan},
@@ -72,6 +73,8 @@ pub(super) struct PlacedModel {
     pub(super) view: CameraModel,
     /// What its pictures show.
     pub(super) picture: CameraModel,
+    /// The distance in metres at which they show a marker that faces the camera just large enough to be read.
+    pub(super) readable_m: f64,
     /// Its other keys of a scenario's camera.
     pub(super) keys: toml::Table,
 }
@@ -79,6 +82,7 @@ pub(super) struct PlacedModel {
 /// Reads the camera.
 pub(super) fn read_camera(options: &PlaceOptions) -> Result<PlacedModel, RunError> {
     let path = options.camera.as_deref();
+    let mut columns = None;
     let (config, mut keys) = match path {
         None => (
             config(toml::Table::new())
@@ -105,11 +109,11 @@ pub(super) fn read_camera(options: &PlaceOptions) -> Result<PlacedModel, RunErro
             {
                 return Err(refuse(format!("{key} is a result of the placement; remove it")).into());
             }
-            from_intrinsics(&mut keys).map_err(refuse)?;
+            columns = from_intrinsics(&mut keys).map_err(refuse)?;
             (config(keys.clone()).map_err(refuse)?, keys)
         }
     };
-    let CameraConfig { horizontal_fov_deg, vertical_fov_deg, range_m, picture, .. } = config;
+    let CameraConfig { horizontal_fov_deg, vertical_fov_deg, range_m, ref picture, .. } = config;
     let view = CameraModel { horizontal_fov_deg, vertical_fov_deg, range_m };
     // The picture of another camera than the default one is not guessed.
     let stated = (path.is_none() || keys.contains_key("picture"))
@@ -117,6 +121,14 @@ pub(super) fn read_camera(options: &PlaceOptions) -> Result<PlacedModel, RunErro
     let picture = options.picture_fov.or(stated).map_or(view, |[horizontal, vertical]| {
         CameraModel { horizontal_fov_deg: horizontal, vertical_fov_deg: vertical, range_m }
     });
+    let is_picture = stated.is_some() || options.picture_fov.is_some();
+    let width = match columns {
+        Some(columns) if !is_picture => columns,
+        _ if is_picture => f64::from(config.picture.width),
+        _ => f64::from(config.depth.width),
+    };
+    let focal_px = width / 2.0 / libm::tan(picture.horizontal_fov_deg.to_radians() / 2.0);
+    let readable_m = focal_px * options.marker / LEAST_HEIGHT_PX;
     if let Some([horizontal, vertical]) = options.picture_fov {
         let stated = keys.entry("picture").or_insert_with(|| toml::Table::new().into());
         if let Some(stated) = stated.as_table_mut() {
@@ -135,7 +147,7 @@ pub(super) fn read_camera(options: &PlaceOptions) -> Result<PlacedModel, RunErro
     let rest = keys.into_iter().filter(|(key, _)| {
         !["horizontal_fov_deg", "vertical_fov_deg", "range_m"].contains(&key.as_str())
     });
-    Ok(PlacedModel { view, picture, keys: rest.collect() })
+    Ok(PlacedModel { view, picture, readable_m, keys: rest.collect() })
 }
 
 /// A camera of a scenario with these keys.
@@ -145,10 +157,10 @@ fn config(mut keys: toml::Table) -> Result<CameraConfig, String> {
     keys.try_into().map_err(|error: toml::de::Error| error.message().replace('\n', ", "))
 }
 
-/// Replaces the keys of an `intrinsics.toml` by the fields of view.
-fn from_intrinsics(keys: &mut toml::Table) -> Result<(), String> {
+/// Replaces the keys of an `intrinsics.toml` by the fields of view. Returns the width of its images in pixels.
+fn from_intrinsics(keys: &mut toml::Table) -> Result<Option<f64>, String> {
     if !keys.contains_key("fx") {
-        return Ok(());
+        return Ok(None);
     }
     let mut take = |key: &str| {
         let value = keys.remove(key);
@@ -161,12 +173,13 @@ fn from_intrinsics(keys: &mut toml::Table) -> Result<(), String> {
         let half = (centre + 0.5).min(size - centre - 0.5).max(0.0);
         2.0 * libm::atan(half / focal.abs()).to_degrees()
     };
-    let horizontal = fov(take("width")?, take("fx")?, take("cx")?);
+    let width = take("width")?;
+    let horizontal = fov(width, take("fx")?, take("cx")?);
     let vertical = fov(take("height")?, take("fy")?, take("cy")?);
     ["distortion", "depth_per_metre", "row"].into_iter().for_each(|key| drop(keys.remove(key)));
     keys.insert("horizontal_fov_deg".to_owned(), horizontal.into());
     keys.insert("vertical_fov_deg".to_owned(), vertical.into());
-    Ok(())
+    Ok(Some(width))
 }
 
 /// Reads for each cell of the floor whether an image marks it as critical.

@@ -5,8 +5,8 @@
 //! camera's rate.
 //!
 //! The core (`station`) is one thread. Others wait at each port (`links`), for each camera's frames
-//! (`cameras`, from `sources`) and for commands, and one looks at the newest frames (`perceiving`); they put what they have
-//! into the core's queue (`message`).
+//! (`cameras`, from `sources`) and for commands, and one looks at the newest frames (`perceiving`); they put
+//! what they have into the core's queue (`message`). `recording` is a command of its own.
 
 mod attached;
 mod bench_camera;
@@ -16,6 +16,7 @@ mod links;
 mod live_keys;
 mod message;
 mod perceiving;
+pub mod recording;
 mod results;
 mod robots;
 mod sources;
