@@ -17,7 +17,10 @@ const STEP_RAD: f64 = 0.09;
 /// Side of the squares in which points of the map are kept and looked for, in metres.
 const SQUARE_M: f64 = 0.1;
 /// Points of the map nearer to each other than this are one, in metres.
-const SAME_M: f64 = 0.03;
+const SAME_M: f64 = 0.025;
+/// Distance of points that form a line, and the greatest ratio of the variances across it and along it.
+const NEAR_M: f64 = 0.1;
+const FLAT: f64 = 0.1;
 /// Iterations of a match, and the least number of pairs that count.
 const ITERATIONS: usize = 8;
 const PAIRS: usize = 20;
@@ -153,34 +156,46 @@ impl Alone {
         pose
     }
 
-    /// A point on the line through the two nearest points of the map in the squares around, and the line's
-    /// normal.
+    /// The line through the points of the map around a place: their mean, and the normal. `None` if they
+    /// are few or form no line.
     fn nearest_line(&self, at: [f64; 2], distances: &mut u64) -> Option<([f64; 2], [f64; 2])> {
-        let [x, y] = square(at);
-        let around = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| [x + dx, y + dy]));
-        let mut best = [(f64::INFINITY, [0.0; 2]); 2];
-        for &point in around.filter_map(|square| self.points.get(&square)).flatten() {
+        let (mut count, mut sum, mut squares) = (0.0, [0.0; 2], [0.0; 3]);
+        for &[x, y] in self.around(at) {
             *distances += 1;
-            let far = (point[0] - at[0]).hypot(point[1] - at[1]);
-            if far < best[0].0 {
-                best = [(far, point), best[0]];
-            } else if far < best[1].0 {
-                best[1] = (far, point);
+            let (dx, dy) = (x - at[0], y - at[1]);
+            if dx.hypot(dy) < NEAR_M {
+                count += 1.0;
+                sum = [sum[0] + dx, sum[1] + dy];
+                squares = [squares[0] + dx * dx, squares[1] + dx * dy, squares[2] + dy * dy];
             }
         }
-        let [(_, a), (second, b)] = best;
-        let along = [b[0] - a[0], b[1] - a[1]];
-        let length = along[0].hypot(along[1]);
-        let is_line = second < SQUARE_M && length > SAME_M / 2.0;
-        is_line.then(|| (a, [-along[1] / length, along[0] / length]))
+        if count < 4.0 {
+            return None;
+        }
+        let mean = sum.map(|it| it / count);
+        let xx = squares[0] / count - mean[0] * mean[0];
+        let xy = squares[1] / count - mean[0] * mean[1];
+        let yy = squares[2] / count - mean[1] * mean[1];
+        let apart = (xx - yy).hypot(2.0 * xy);
+        let [wide, narrow] = [(xx + yy + apart) / 2.0, (xx + yy - apart) / 2.0];
+        let angle = (2.0 * xy).atan2(xx - yy) / 2.0;
+        let normal = [-angle.sin(), angle.cos()];
+        (narrow < FLAT * wide).then(|| ([at[0] + mean[0], at[1] + mean[1]], normal))
+    }
+
+    /// The points of the map in the squares around a place.
+    fn around(&self, at: [f64; 2]) -> impl Iterator<Item = &[f64; 2]> {
+        let [x, y] = square(at);
+        let squares = (-1..=1).flat_map(move |dy| (-1..=1).map(move |dx| [x + dx, y + dy]));
+        squares.filter_map(|square| self.points.get(&square)).flatten()
     }
 
     fn add(&mut self, points: &[[f64; 2]], pose: Plane) {
         for &point in points {
             let at = place(pose, point);
-            let near = self.points.entry(square(at)).or_default();
-            if near.iter().all(|it| (it[0] - at[0]).hypot(it[1] - at[1]) > SAME_M) {
-                near.push(at);
+            let is_far = |it: &[f64; 2]| (it[0] - at[0]).hypot(it[1] - at[1]) > SAME_M;
+            if self.around(at).all(is_far) {
+                self.points.entry(square(at)).or_default().push(at);
             }
         }
     }

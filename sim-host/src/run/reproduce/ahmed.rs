@@ -221,9 +221,9 @@ fn heading_error(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
         "The blue arrow: \"a small error in the detected robot orientation can generate considerable \
             error in the mapped boundaries\". \
          At 0.6 m, the far end of table 1, an error of 5 degrees moves a boundary by 52 mm, one cell of \
-         ours. Our server finds a marker that \
-         was glued on askew by the robot's course, and corrects it; the last column is what is left of \
-         it on average over the run.",
+         ours. A server can find \
+         a marker that was glued on askew by the robot's course over ground. The last column is what is left of the \
+         error: all of it where robots move by 3.5 cm between stops, which gives no course.",
     );
     let mut columns = MAPPED.to_vec();
     columns.push("heading error of the robots (degrees RMS)");
