@@ -29,20 +29,20 @@ fn report(line: &str) -> Report {
 #[test]
 fn robots_with_grey_cameras_follow_and_map_the_boundaries_of_ahmeds_arenas() {
     for room in ["ahmed-2013", "ahmed-2013-b"] {
-        let line = "--sensor grey-camera --motion boundary --ideal-cameras --duration 40";
+        let line = "--sensor grey-camera --motion boundary --ideal-cameras --duration 25";
         let report = report(&format!("{room} {line}"));
         let driving = report.driving.unwrap();
         assert_eq!((driving.collisions, report.map.converged), (0, true), "{room}");
         // R3 and R4 stand, and do not look.
         let mapped: Vec<u64> = report.robots.iter().map(|robot| robot.mapped).collect();
-        assert!(mapped[0] > 20 && mapped[1] > 20 && mapped[2..] == [0, 0], "{room}: {mapped:?}");
+        assert!(mapped[0] > 10 && mapped[1] > 10 && mapped[2..] == [0, 0], "{room}: {mapped:?}");
         assert_eq!(report.drawn_on_standing, Some(0), "{room}");
         let truth = report.truth.unwrap();
-        assert!(truth.agreement_known > 0.95 && truth.coverage > 0.15, "{room}: {truth:?}");
+        assert!(truth.agreement_known > 0.95 && truth.coverage > 0.05, "{room}: {truth:?}");
         // Boundaries near by are mapped better (Ahmed 2.3), and worse in the paper's geometry.
         let vision = report.vision.unwrap();
         let (near, far) = (vision.bands[0], vision.bands[4]);
-        assert!(near.columns > 1_000 && far.columns > 1_000, "{room}: {vision}");
+        assert!(near.columns > 500 && far.columns > 500, "{room}: {vision}");
         assert!(near.median_mm < 4.0 && far.median_mm > 2.0 * near.median_mm, "{room}: {vision}");
         assert!(vision.bands.iter().all(|band| band.as_ranges_mm > 2.0 * band.median_mm));
     }
@@ -56,7 +56,7 @@ fn boundaries_can_only_be_followed_with_pictures() {
 }
 
 fn points(options: &str) -> PointsSummary {
-    report(&format!("aluckal-room --duration 25 {options}")).points.unwrap()
+    report(&format!("aluckal-room --duration 15 {options}")).points.unwrap()
 }
 
 #[test]
@@ -64,7 +64,7 @@ fn aluckals_policies_keep_fewer_and_fewer_redundant_points() {
     let policy = |name: &str| points(&format!("--exposure mask --policy {name}"));
     let [pilot, threshold, omission, printed, full] =
         ["pilot", "threshold", "omission", "omission-as-printed", "full"].map(policy);
-    assert!(pilot.scans == 751 && pilot.mapped == 751, "{pilot}");
+    assert!(pilot.scans == 451 && pilot.mapped == 451, "{pilot}");
     assert!(threshold.kept * 2 < pilot.kept, "{threshold} {pilot}");
     assert!(omission.kept * 2 < threshold.kept, "{omission} {threshold}");
     assert!(omission.redundant < threshold.redundant && threshold.redundant < pilot.redundant);
