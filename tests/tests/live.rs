@@ -73,6 +73,16 @@ impl Drop for Process {
     }
 }
 
+/// A robot's pose as the server knew it: x and y in metres, heading in degrees.
+struct Told {
+    /// When the server's clock was zero, in seconds since 1970.
+    zero: f64,
+    /// The pose's time by that clock.
+    time: f64,
+    robot: u16,
+    pose: [f64; 3],
+}
+
 /// All processes but the server.
 struct System {
     folder: PathBuf,
@@ -80,8 +90,7 @@ struct System {
     camera: StreamRelay,
     rig: Process,
     _emulator: Emulator,
-    /// Poses by the server: when its clock was zero, the time by it, the robot, and x, y in metres and heading in degrees.
-    told: Vec<(f64, f64, u16, [f64; 3])>,
+    told: Vec<Told>,
 }
 
 impl System {
@@ -160,9 +169,9 @@ impl System {
             let Some(answer) = self.ask(&["status", "--json"]) else { continue };
             let middle = (before + unix_s()) / 2.0;
             let report: Value = serde_json::from_str(&answer).unwrap();
-            let began = middle - report["time_s"].as_f64().unwrap();
+            let zero = middle - report["time_s"].as_f64().unwrap();
             for (robot, time, pose) in poses(&report) {
-                self.told.push((began, time, robot, pose));
+                self.told.push(Told { zero, time, robot, pose });
             }
         }
     }
@@ -228,21 +237,21 @@ fn off(pose: [f64; 3], truth: [f64; 3]) -> [f64; 2] {
 
 /// Root mean squares of the errors of poses told, in metres and degrees. When the server's clock was zero is known
 /// from many answers, of which each came a moment too late.
-fn rms(told: &[(f64, f64, u16, [f64; 3])], track: &Track) -> [f64; 2] {
-    let mut lives: Vec<Vec<&(f64, f64, u16, [f64; 3])>> = Vec::new();
+fn rms(told: &[Told], track: &Track) -> [f64; 2] {
+    let mut lives: Vec<Vec<&Told>> = Vec::new();
     for it in told {
         match lives.last_mut() {
-            Some(life) if (life[0].0 - it.0).abs() < 1.0 => life.push(it),
+            Some(life) if (life[0].zero - it.zero).abs() < 1.0 => life.push(it),
             _ => lives.push(vec![it]),
         }
     }
     let (mut sums, mut count) = ([0.0; 2], 0.0);
     for life in lives {
-        let mut starts: Vec<f64> = life.iter().map(|it| it.0).collect();
-        starts.sort_by(f64::total_cmp);
-        let began = starts[starts.len() / 2];
-        for &&(_, time, robot, pose) in &life {
-            if let Some(truth) = track.at(robot, began + time) {
+        let mut zeros: Vec<f64> = life.iter().map(|it| it.zero).collect();
+        zeros.sort_by(f64::total_cmp);
+        let zero = zeros[zeros.len() / 2];
+        for &&Told { time, robot, pose, .. } in &life {
+            if let Some(truth) = track.at(robot, zero + time) {
                 let off = off(pose, truth);
                 (0..2).for_each(|axis| sums[axis] += off[axis].powi(2));
                 count += 1.0;
