@@ -83,7 +83,8 @@ fn read(text: &str) -> Result<Vec<(u8, f32)>, String> {
     let mut rows = Vec::new();
     for (index, line) in text.lines().enumerate() {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        let is_heading = index == 0 && cells[0].parse::<f64>().is_err();
+        let is_heading =
+            index == 0 && !line.trim_start().starts_with(|it: char| it.is_ascii_digit());
         if is_heading || line.trim().is_empty() {
             continue;
         }
