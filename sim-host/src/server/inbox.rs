@@ -6,18 +6,18 @@ use ubimap_protocol::{
         TileUpdateHead, ToServer, ToServerMessage,
     },
     tile::{Layer, tile_hash},
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use super::{session::Session, surroundings::Surroundings, unread::Unread};
-use crate::{
-    mapping::{RobotLayer, Updated},
-    timing::POSE_STALE,
-};
+use crate::mapping::{RobotLayer, Updated};
 
 /// Deviations of the pose at which a robot was last heard of before it booted: those at which it does not drive
 /// (15 cm) and does not map (6 degrees).
 const HEARSAY: Certainty = Certainty { x: 150, y: 150, heading: 1_092 };
+
+/// Time without a pose after which no camera sees a robot that does not know its pose.
+const UNSEEN: Duration = Duration::from_secs(1);
 
 /// The effects of the messages in a frame.
 #[derive(Debug, Default)]
@@ -109,10 +109,11 @@ impl<'a> Inbox<'a> {
             self.surroundings.robot(self.session.robot(), moment.min(now), pose);
         } else if let State { time: None, pose: None, .. } = state
             && let Some((heard, pose)) = self.surroundings.newest(self.session.robot())
-            && now.since(heard) > POSE_STALE
+            && now.since(heard) >= UNSEEN
         {
             // It has booted where no camera sees it. Its distance vectors will show whether it is still
-            // there; until then it neither maps nor drives.
+            // there; until then it neither maps nor drives, and nobody draws it.
+            self.surroundings.robot(self.session.robot(), now, pose);
             let (certainty, source) = (HEARSAY, FixSource::MapMatch);
             let earlier = Default::default();
             self.session.matched(PoseFix { time: now, pose, certainty, source, earlier });

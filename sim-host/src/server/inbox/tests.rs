@@ -2,7 +2,6 @@ use ubimap_protocol::{
     frame::{MIN_VERSION, VERSION},
     message::{Hello, Writer},
     tile::{Cell, Epoch, Stamp, Tile, TileEncoder, TileId, Version},
-    time::Duration,
     units::{Millimetres, Pose, RobotId},
 };
 
@@ -81,7 +80,7 @@ fn a_digest_that_differs_is_repaired() {
 #[test]
 fn a_robot_that_boots_out_of_view_is_told_where_it_was() {
     let pose = Pose::from_metres(1.0, 2.0, 0.5);
-    let seconds = |seconds| Instant(0) + Duration::from_secs(seconds);
+    let at = |millis| Instant(0) + Duration::from_millis(millis);
     let (mut session, mut layer) = (new_session(), RobotLayer::default());
     let mut surroundings = Surroundings::default();
     let mut told = |surroundings: &mut Surroundings, pose: Option<Pose>, now| {
@@ -94,8 +93,9 @@ fn a_robot_that_boots_out_of_view_is_told_where_it_was() {
         inbox.take(Messages::new(&payload[..len]), now);
         session.waiting()
     };
-    assert_eq!(told(&mut surroundings, None, seconds(1)), 0, "nobody knows");
-    assert_eq!(told(&mut surroundings, Some(pose), seconds(2)), 0);
-    assert_eq!(told(&mut surroundings, None, seconds(4)), 0, "a camera may see it");
-    assert_eq!(told(&mut surroundings, None, seconds(5)), 1);
+    assert_eq!(told(&mut surroundings, None, at(1_000)), 0, "nobody knows");
+    assert_eq!(told(&mut surroundings, Some(pose), at(2_000)), 0);
+    assert_eq!(told(&mut surroundings, None, at(2_900)), 0, "a camera may see it");
+    assert_eq!(told(&mut surroundings, None, at(4_000)), 1);
+    assert_eq!(surroundings.newest(RobotId(1)), Some((at(4_000), pose)));
 }
