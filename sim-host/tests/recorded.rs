@@ -14,48 +14,14 @@ use serde_json::Value;
 #[allow(dead_code, unreachable_pub, reason = "public in `tests`, whose file it is")]
 mod data;
 
-/// Two cameras whose frames overtake each other and get lost, robots with a tag and a colour marker, and a
-/// walking person. Longer than a step of the map's time.
-const SCENARIO: &str = r#"
-duration_s = 12
-slice_height_m = 0.2
-[room]
-height_m = 3.0
-outline_m = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]
-[[furniture]]
-footprint.box = { centre_m = [3.4, 0.6], size_m = [0.6, 0.6] }
-top_m = 0.8
-[[cameras]]
-position_m = [0.3, 0.3, 2.8]
-look_at_m = [2.2, 2.2, 0.0]
-latency_jitter_ms = 60.0
-lost_frames = 0.05
-depth = { width = 320, height = 240 }
-picture = { width = 640, height = 360 }
-[[cameras]]
-position_m = [3.7, 3.7, 2.8]
-look_at_m = [1.8, 1.8, 0.0]
-latency_jitter_ms = 60.0
-lost_frames = 0.05
-depth = { width = 320, height = 240 }
-picture = { width = 640, height = 360 }
-[[robots]]
-id = 3
-tag_id = 11
-radius_m = 0.2
-marker_size_m = 0.25
-start = { x_m = 1.6, y_m = 2.4 }
-route = { waypoints_m = [[2.6, 2.4]] }
-[[robots]]
-id = 4
-marker = "colour"
-marker_size_m = 0.25
-radius_m = 0.2
-box_m = [0.3, 0.26]
-start = { x_m = 2.4, y_m = 1.4, heading_deg = 90.0 }
-[[people]]
-waypoints_m = [[1.0, 1.5], [1.2, 3.2]]
-"#;
+const SCENARIO: &str = include_str!("two_cameras.toml");
+
+/// The scenario, over a number of seconds.
+fn lasting(seconds: u32) -> String {
+    let stated = "duration_s = 7";
+    assert!(SCENARIO.contains(stated));
+    SCENARIO.replace(stated, &format!("duration_s = {seconds}"))
+}
 
 /// A new folder for the files of a test.
 fn folder(name: &str) -> PathBuf {
@@ -115,7 +81,8 @@ fn served(folder: &Path, speed: u32, duration_s: u32) -> Value {
 #[ignore = "plays a recording in real time: half a minute"]
 fn a_recording_played_live_gives_what_watch_gives() {
     let folder = folder("recorded");
-    fs::write(folder.join("room.toml"), SCENARIO).unwrap();
+    // Longer than a step of the map's time.
+    fs::write(folder.join("room.toml"), lasting(12)).unwrap();
     let recording = ["simulate", "room.toml", "--scripted", "--record", "rec", "--json"];
     run(&folder, &recording);
     let report = watched(&folder);
@@ -147,7 +114,7 @@ fn a_recording_played_live_gives_what_watch_gives() {
 #[ignore = "plays a recording: ten seconds"]
 fn a_knocked_camera_is_followed_and_one_without_a_pose_is_shown() {
     let folder = folder("recorded-knock");
-    let room = SCENARIO.replace("duration_s = 12", "duration_s = 22");
+    let room = lasting(22);
     fs::write(folder.join("room.toml"), room).unwrap();
     let knock = "0@9:0.03,0,0,0,2,0";
     let recording =

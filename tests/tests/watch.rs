@@ -33,46 +33,7 @@ use ubimap_tests::{data, deployments::deployed};
 
 /// Two cameras whose frames overtake each other and get lost, a robot with a tag, one with a colour
 /// marker, and a walking person.
-const SCENARIO: &str = r#"
-duration_s = 7
-slice_height_m = 0.2
-[room]
-height_m = 3.0
-outline_m = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]
-[[furniture]]
-footprint.box = { centre_m = [3.4, 0.6], size_m = [0.6, 0.6] }
-top_m = 0.8
-[[cameras]]
-position_m = [0.3, 0.3, 2.8]
-look_at_m = [2.2, 2.2, 0.0]
-latency_jitter_ms = 60.0
-lost_frames = 0.05
-depth = { width = 320, height = 240 }
-picture = { width = 640, height = 360 }
-[[cameras]]
-position_m = [3.7, 3.7, 2.8]
-look_at_m = [1.8, 1.8, 0.0]
-latency_jitter_ms = 60.0
-lost_frames = 0.05
-depth = { width = 320, height = 240 }
-picture = { width = 640, height = 360 }
-[[robots]]
-id = 3
-tag_id = 11
-radius_m = 0.2
-marker_size_m = 0.25
-start = { x_m = 1.6, y_m = 2.4 }
-route = { waypoints_m = [[2.6, 2.4]] }
-[[robots]]
-id = 4
-marker = "colour"
-marker_size_m = 0.25
-radius_m = 0.2
-box_m = [0.3, 0.26]
-start = { x_m = 2.4, y_m = 1.4, heading_deg = 90.0 }
-[[people]]
-waypoints_m = [[1.0, 1.5], [1.2, 3.2]]
-"#;
+const SCENARIO: &str = include_str!("../../sim-host/tests/two_cameras.toml");
 
 /// An empty folder for a test.
 fn folder(name: &str) -> PathBuf {

@@ -87,8 +87,8 @@ impl Member {
         self.seen.since(self.still_since)
     }
 
-    /// Time since the robot was last known to move. Out of the cameras' view, a standing robot does
-    /// not repeat its pose, and a driving one reports it every 2 s.
+    /// Time since the robot was last known to move. A robot may know its pose no longer, and repeat none;
+    /// one that drives out of view reports it every 2 s.
     pub(super) fn unmoved_for(&self, now: Instant) -> Duration {
         now.since(self.still_since)
     }
