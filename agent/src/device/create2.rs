@@ -45,6 +45,14 @@ const BYTE_MICROS: u64 = 87;
 /// Modes of the base.
 const SAFE: u8 = 2;
 
+/// Maximum interval between the moments of two frames, 5 % more than the base's 15 ms: bytes that waited
+/// somewhere arrive late, never early, so that the earliest frames tell when the others were sent. After a
+/// lost frame the moments are right again within a third of a second.
+const INTERVAL: Duration = Duration::from_micros(15_750);
+
+/// A frame that is this late is the first one after a pause of the base.
+const PAUSE: Duration = Duration::from_millis(250);
+
 /// Opcodes.
 const START: u8 = 128;
 const SAFE_MODE: u8 = 131;
@@ -66,6 +74,8 @@ pub struct Create2 {
     setup: Setup,
     /// When the base last reported; before its first report, when it was first addressed.
     heard: Option<Instant>,
+    /// The latest moment that the next frame may have, unless the base has paused.
+    due: Option<Instant>,
     /// When the last step of the start was sent.
     started: Instant,
     /// The speeds last sent, and when.
@@ -100,6 +110,7 @@ impl Create2 {
             encoders: None,
             setup: Setup::Step(0, Instant(0)),
             heard: None,
+            due: None,
             started: Instant(0),
             sent: None,
             counters: WheelCounters { frames: 0, damaged: 0, restarts: 0 },
@@ -125,6 +136,14 @@ impl Create2 {
         self.counters.frames = self.counters.frames.saturating_add(1);
         let [_, _, _, contact, _, mode, _, l1, l0, _, r1, r0, _] = self.newest;
         Some(([contact, mode], [u16::from_be_bytes([l1, l0]), u16::from_be_bytes([r1, r0])]))
+    }
+
+    /// When the base sent a frame that arrived by `arrived`.
+    fn moment(&mut self, arrived: Instant) -> Instant {
+        let due = self.due.filter(|due| arrived.since(*due) < PAUSE);
+        let moment = due.map_or(arrived, |due| due.min(arrived));
+        self.due = Some(moment + INTERVAL);
+        moment
     }
 
     /// Takes the base's state from a frame.
@@ -186,7 +205,7 @@ impl Wheels for Create2 {
             *bytes = rest;
             if let Some((state, encoders)) = self.byte(byte) {
                 let later = BYTE_MICROS.saturating_mul(rest.len() as u64);
-                let moment = Instant(now.0.saturating_sub(later));
+                let moment = self.moment(Instant(now.0.saturating_sub(later)));
                 return Some(self.frame(state, encoders, moment));
             }
         }
@@ -326,6 +345,33 @@ mod tests {
         // The base was switched on again: its counts begin anew.
         assert_eq!(at(&mut base, 0), Pose::default());
         assert_eq!(at(&mut base, 225).x, Millimetres(100));
+    }
+
+    #[test]
+    fn frames_that_waited_have_the_moments_at_which_they_were_sent() {
+        let mut base = Create2::new();
+        let standing = frame(0, 2, [7, 7]);
+        let mut error = |from: u64, until: u64, arrives: &dyn Fn(u64) -> u64| {
+            let mut most = 0;
+            for sent in (from..until).step_by(15) {
+                let now = Instant(arrives(sent) * 1_000);
+                let moment = receive(&mut base, &standing, now)[0].moment;
+                most = most.max(moment.0.abs_diff(sent * 1_000));
+            }
+            most
+        };
+        assert_eq!(error(0, 300, &|sent| sent), 0);
+        // Nothing is read for 200 ms; then all frames are, at once.
+        let stalled = |sent: u64| sent.max(500);
+        assert!(error(300, 600, &stalled) <= 10_500);
+        assert_eq!(error(1_200, 1_500, &|sent| sent), 0);
+        // The reader falls back more and more.
+        assert!(error(1_500, 2_100, &|sent| sent + (sent - 1_500) / 3) <= 31_000);
+        // Three frames are lost: the moments come back to the time.
+        assert!(error(2_145, 3_300, &|sent| sent) <= 45_000);
+        assert_eq!(error(3_300, 3_600, &|sent| sent), 0);
+        // The base was switched off for a while.
+        assert_eq!(error(9_000, 9_300, &|sent| sent), 0);
     }
 
     #[test]
