@@ -107,6 +107,18 @@ impl Devices {
         self.camera.expose(readings, taken);
     }
 
+    /// When the base measures next.
+    pub(super) fn next_measure(&self) -> Option<Instant> {
+        self.base.next_frame()
+    }
+
+    /// Lets the base measure what its wheels have rolled, which it does at `now`.
+    pub(super) fn measure(&mut self, robot: usize, stage: &mut dyn Stage, now: Instant) {
+        if let Some((rolled, is_touching)) = stage.wheels(now, robot) {
+            self.base.measure(rolled, is_touching, now);
+        }
+    }
+
     /// Moves bytes between the ports and the devices, and the wheels in the room.
     pub(super) fn exchange(&mut self, robot: usize, stage: &mut dyn Stage, now: Instant) {
         let bytes = self.wheels.read();
@@ -118,11 +130,6 @@ impl Devices {
             self.driven = commanded;
             let [speed, turn] = commanded.map(|it| (it * 1_000.0).round() as i16);
             stage.drive(now, robot, DriveCommand { speed, turn });
-        }
-        if self.base.next_frame().is_some_and(|next| next <= now)
-            && let Some((rolled, is_touching)) = stage.wheels(now, robot)
-        {
-            self.base.measure(rolled, is_touching, now);
         }
         self.sensor.write(&self.camera.poll_transmit(now));
         self.wheels.write(&self.base.poll_transmit(now));

@@ -146,12 +146,21 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
         let now = elapsed();
         late = late.max(now.since(stage.world().now()));
         // Each event at its own time: the room may be behind the clock, and a camera's latency hides that.
-        while let Some(next) = stage.next_event().filter(|&next| next <= now) {
-            match stage.poll(next) {
-                Some(Event::Scan { robot, readings }) => devices[robot].scan(&readings, next),
-                Some(Event::Frame(frame)) => senders[frame.camera].send(frame, &clock),
-                Some(Event::Odometry { .. } | Event::Observation(_) | Event::Look { .. })
-                | None => {}
+        loop {
+            let bases = devices.iter().enumerate();
+            let base = bases.filter_map(|(robot, it)| Some((it.next_measure()?, robot))).min();
+            let event = stage.next_event().filter(|&next| next <= now);
+            match (base.filter(|&(next, _)| next <= now), event) {
+                (Some((next, robot)), event) if event.is_none_or(|event| next <= event) => {
+                    devices[robot].measure(robot, &mut stage, next);
+                }
+                (_, Some(next)) => match stage.poll(next) {
+                    Some(Event::Scan { robot, readings }) => devices[robot].scan(&readings, next),
+                    Some(Event::Frame(frame)) => senders[frame.camera].send(frame, &clock),
+                    Some(Event::Odometry { .. } | Event::Observation(_) | Event::Look { .. })
+                    | None => {}
+                },
+                _ => break,
             }
         }
         for (index, devices) in devices.iter_mut().enumerate() {
