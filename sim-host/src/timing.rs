@@ -74,6 +74,9 @@ pub const ROBOT_GONE: Duration = Duration::from_secs(10);
 /// Maximum age of a pose that is given to other robots. A robot out of view reports its pose every
 /// 2 s; half a second is left for the delivery.
 pub const POSE_STALE: Duration = Duration::from_millis(2_500);
+/// A robot that falls silent stops within two seconds, and stands where it is: the others are told of it for
+/// this long, so that they do not map it. Later it may have been taken away.
+pub const ROBOT_PARKED: Duration = Duration::from_secs(60);
 /// A robot that was silent for this long can't be commanded: two consecutive reports were lost.
 pub const ROBOT_UNREACHABLE: Duration = Duration::from_secs(5);
 /// A session that was silent for this long, while its port receives frames of another session, is

@@ -11,11 +11,14 @@ use ubimap_protocol::{
 use crate::{
     camera::Observation,
     perception::{Footprint, Lying, Track, Tracks},
-    timing::POSE_STALE,
+    timing::{POSE_STALE, ROBOT_PARKED},
 };
 
 /// Maximum distance of the peers and obstacles sent to a robot, in metres.
 const NEAR_M: f64 = 8.0;
+/// The age that a silent robot's pose is given, in 10 ms: it has stopped by then, up to its way in this time
+/// from there.
+const PARKED_AGE: u8 = 200;
 
 /// Robots, people and things.
 #[derive(Debug, Default)]
@@ -80,20 +83,31 @@ impl Surroundings {
         self.robots.get(&robot).copied()
     }
 
-    /// The time of the newest pose of any other robot.
+    /// The time of the newest pose of any other robot; that of any robot while one stands silent somewhere.
     pub(super) fn peers_moment(&self, robot: RobotId) -> Option<Instant> {
-        self.others(robot).map(|(_, moment, _)| moment).max()
+        let newest = self.robots.values().map(|(moment, _)| *moment).max()?;
+        let of_others = self.others(robot).map(|(_, moment, _)| moment);
+        let is_parked = |moment: Instant| {
+            let silent = newest.since(moment);
+            silent > POSE_STALE && silent <= ROBOT_PARKED
+        };
+        if of_others.clone().any(is_parked) { Some(newest) } else { of_others.max() }
     }
 
-    /// The other robots within [`NEAR_M`] of `robot`, nearest first.
+    /// The other robots within [`NEAR_M`] of `robot`, nearest first: those with a recent pose, and those that
+    /// fell silent and stand.
     pub(super) fn peers(&self, robot: RobotId) -> Vec<Peer> {
         let newest = self.peers_moment(robot).unwrap_or_default();
         let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
-        let recent =
-            self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= POSE_STALE);
-        let peers = recent.map(|(id, moment, pose)| {
+        let there =
+            self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= ROBOT_PARKED);
+        let peers = there.map(|(id, moment, pose)| {
             let Footprint { half_length, half_width } = self.footprint(id);
-            let age = (newest.since(moment).micros() / 10_000).min(255) as u8;
+            let silent = newest.since(moment);
+            let age = match silent <= POSE_STALE {
+                true => (silent.micros() / 10_000).min(255) as u8,
+                false => PARKED_AGE,
+            };
             let peer = Peer { robot: id, pose, age, half_length, half_width };
             (distance_m(me, pose.x, pose.y), peer)
         });
@@ -127,7 +141,7 @@ impl Surroundings {
         nearest_first(obstacles)
     }
 
-    fn others(&self, robot: RobotId) -> impl Iterator<Item = (RobotId, Instant, Pose)> {
+    fn others(&self, robot: RobotId) -> impl Iterator<Item = (RobotId, Instant, Pose)> + Clone {
         let others = self.robots.iter().filter(move |(id, _)| **id != robot);
         others.map(|(&id, &(moment, pose))| (id, moment, pose))
     }
@@ -157,4 +171,32 @@ fn nearest_first<T>(things: impl Iterator<Item = (f64, T)>) -> Vec<T> {
     let mut near: Vec<(f64, T)> = things.filter(|(distance, _)| *distance <= NEAR_M).collect();
     near.sort_by(|a, b| a.0.total_cmp(&b.0));
     near.into_iter().map(|(_, thing)| thing).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ubimap_protocol::{time::Duration, units::Angle};
+
+    #[test]
+    fn a_robot_that_fell_silent_is_told_for_a_minute() {
+        let mut about = Surroundings::default();
+        let pose = |x| Pose { x: Millimetres(x), y: Millimetres(0), heading: Angle(0) };
+        let (me, silent) = (RobotId(1), RobotId(2));
+        about.robot(silent, Instant(0), pose(1_000));
+        let told = |about: &mut Surroundings, micros| {
+            about.robot(me, Instant(micros), pose(0));
+            let ages: Vec<u8> = about.peers(me).iter().map(|peer| peer.age).collect();
+            (ages, about.peers_moment(me))
+        };
+        let last = Instant(0) + POSE_STALE;
+        assert_eq!(told(&mut about, last.0), (vec![0], Some(Instant(0))));
+        // From now on each pose of this robot brings news of the silent one.
+        let parked = Instant(0) + ROBOT_PARKED;
+        for moment in [last + Duration(1), parked] {
+            assert_eq!(told(&mut about, moment.0), (vec![PARKED_AGE], Some(moment)));
+        }
+        assert_eq!(about.peers(silent).len(), 1);
+        assert_eq!(told(&mut about, parked.0 + 1), (vec![0], Some(Instant(0))));
+    }
 }
