@@ -165,11 +165,10 @@ impl System {
         let end = Instant::now() + Duration::from_secs(seconds);
         while Instant::now() < end {
             thread::sleep(LOOK_INTERVAL);
-            let before = unix_s();
             let Some(answer) = self.ask(&["status", "--json"]) else { continue };
-            let middle = (before + unix_s()) / 2.0;
             let report: Value = serde_json::from_str(&answer).unwrap();
-            let zero = middle - report["time_s"].as_f64().unwrap();
+            let seconds = |key: &str| report[key].as_f64().unwrap();
+            let zero = seconds("unix_s") - seconds("time_s");
             for (robot, time, pose) in poses(&report) {
                 self.told.push(Told { zero, time, robot, pose });
             }
@@ -235,27 +234,14 @@ fn off(pose: [f64; 3], truth: [f64; 3]) -> [f64; 2] {
     [(pose[0] - truth[0]).hypot(pose[1] - truth[1]), turn.abs()]
 }
 
-/// Root mean squares of the errors of poses told, in metres and degrees. When the server's clock was zero is known
-/// from many answers, of which each came a moment too late.
+/// Root mean squares of the errors of poses told, in metres and degrees.
 fn rms(told: &[Told], track: &Track) -> [f64; 2] {
-    let mut lives: Vec<Vec<&Told>> = Vec::new();
-    for it in told {
-        match lives.last_mut() {
-            Some(life) if (life[0].zero - it.zero).abs() < 1.0 => life.push(it),
-            _ => lives.push(vec![it]),
-        }
-    }
     let (mut sums, mut count) = ([0.0; 2], 0.0);
-    for life in lives {
-        let mut zeros: Vec<f64> = life.iter().map(|it| it.zero).collect();
-        zeros.sort_by(f64::total_cmp);
-        let zero = zeros[zeros.len() / 2];
-        for &&Told { time, robot, pose, .. } in &life {
-            if let Some(truth) = track.at(robot, zero + time) {
-                let off = off(pose, truth);
-                (0..2).for_each(|axis| sums[axis] += off[axis].powi(2));
-                count += 1.0;
-            }
+    for &Told { zero, time, robot, pose } in told {
+        if let Some(truth) = track.at(robot, zero + time) {
+            let off = off(pose, truth);
+            (0..2).for_each(|axis| sums[axis] += off[axis].powi(2));
+            count += 1.0;
         }
     }
     sums.map(|sum| (sum / count).sqrt())

@@ -35,6 +35,8 @@ pub struct ServeReport {
     pub elapsed_s: f64,
     /// The server's time in seconds: that of all poses and events here. It goes on from a stored map's.
     pub time_s: f64,
+    /// What the computer's clock showed at [`ServeReport::time_s`], in seconds since 1970.
+    pub unix_s: f64,
 }
 
 /// The delays from the arrival of a frame until what was seen in it has been sent to the robots, in
@@ -187,7 +189,7 @@ impl ServeReport {
     /// The value of [`ServeReport::schema`].
     pub const SCHEMA: &'static str = "ubimap-serve";
     /// The version written by this program.
-    pub const VERSION: u32 = 2;
+    pub const VERSION: u32 = 3;
 
     /// Whether any robot ever had a session.
     pub fn has_robot(&self) -> bool {

@@ -414,6 +414,7 @@ impl Station {
             plan: None,
             elapsed_s: self.now().micros() as f64 / 1e6,
             time_s: self.deployment.server_time(self.now()).micros() as f64 / 1e6,
+            unix_s: time::UNIX_EPOCH.elapsed().unwrap_or_default().as_secs_f64(),
         }
     }
 
