@@ -159,7 +159,7 @@ fn listen() {
 }
 
 #[test]
-#[ignore = "runs an image in the emulator: cargo thorough"]
+#[ignore = "runs an image in the emulator: cargo real-time"]
 fn the_wheels_stand_while_a_port_has_failed_and_the_map_converges() {
     let _alone = alone();
     let rig = match Rig::start() {
@@ -203,7 +203,7 @@ fn the_wheels_stand_while_a_port_has_failed_and_the_map_converges() {
 }
 
 #[test]
-#[ignore = "runs an image in the emulator: cargo thorough"]
+#[ignore = "runs an image in the emulator: cargo real-time"]
 fn a_robot_goes_on_with_the_next_server() {
     let _alone = alone();
     let rig = match Rig::start() {
@@ -232,7 +232,7 @@ fn a_robot_goes_on_with_the_next_server() {
 /// Random faults for a minute, or for `UBIMAP_FAULT_MINUTES`: the robot answers afterwards, in the same
 /// session, and holds the same map as the server.
 #[test]
-#[ignore = "runs an image in the emulator: cargo thorough"]
+#[ignore = "runs an image in the emulator: cargo real-time"]
 fn random_faults_do_not_reset_the_robot() {
     let _alone = alone();
     let rig = match Rig::start() {

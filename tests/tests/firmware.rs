@@ -51,7 +51,7 @@ static ALONE: Mutex<()> = Mutex::new(());
 /// The unmodified images map, and one drives, in the simulated room, by the bytes of a simulated A010
 /// and Create 2; and they fit.
 #[test]
-#[ignore = "runs an image in the emulator: cargo thorough"]
+#[ignore = "runs an image in the emulator: cargo real-time"]
 fn the_images_fit() {
     let mut table =
         String::from("| image | flash | static RAM | with the stack |\n|---|---|---|---|\n");
@@ -76,7 +76,7 @@ fn the_images_fit() {
 
 /// The unmodified image drives alone, without a collision, to the ground that no camera sees.
 #[test]
-#[ignore = "runs an image in the emulator: cargo thorough"]
+#[ignore = "runs an image in the emulator: cargo real-time"]
 fn the_image_maps_the_blind_ground() {
     println!("| seed | blind ground | F1 | poses, RMS | collisions |\n|---|---|---|---|---|");
     for seed in seeds(1) {
@@ -127,7 +127,7 @@ fn run(name: &str, seed: &str, seconds: &str) -> Result<Run, EmulatorError> {
 }
 
 #[test]
-#[ignore = "runs an image in the emulator: cargo thorough"]
+#[ignore = "runs an image in the emulator: cargo real-time"]
 fn a_robot_gets_session_time_and_pose_again_from_the_next_server() {
     let emulator = match firmware().and_then(|image| Emulator::start(&image)) {
         Ok(emulator) => emulator,
