@@ -100,7 +100,8 @@ impl Thresholds {
 /// Reads a map from its YAML file and the image named there (relative to the YAML file).
 ///
 /// The modes are those of nav2's `map_server`. `trinary` (the default) averages an alpha channel as
-/// a fourth colour. In `scale`, pixels that are not opaque are unknown, and unlike in `map_server`
+/// a fourth colour, with a warning; one that is opaque throughout is ignored, unlike in `map_server`, where it
+/// brightens everything. In `scale`, pixels that are not opaque are unknown, and unlike in `map_server`
 /// so are shades between the thresholds. In `raw`, a pixel's value is the occupancy in per cent,
 /// unknown above 100.
 pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
@@ -138,6 +139,13 @@ pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
         error,
     })?;
     let pixels = Pixels::of(raster.image, header.mode);
+    if pixels.mean_with_alpha {
+        log::warn!(
+            "{}: is partly transparent; as in map_server, opacity counts as a fourth colour, so that what is \
+             transparent is darker",
+            image_path.display()
+        );
+    }
     let grid_error = |error| MapError::Grid { path: yaml.to_owned(), error };
     let mut grid = OccupancyGrid::new(
         header.resolution,
@@ -269,7 +277,7 @@ struct Pixels {
     width: u32,
     height: u32,
     grey: Grey,
-    /// Whether alpha is averaged as a fourth colour.
+    /// Whether alpha is averaged as a fourth colour, as in `map_server`: if any pixel is not opaque.
     mean_with_alpha: bool,
 }
 
@@ -282,11 +290,15 @@ enum Grey {
 impl Pixels {
     fn of(image: DynamicImage, mode: Mode) -> Self {
         let (width, height) = (image.width(), image.height());
-        let mean_with_alpha = image.color().has_alpha() && mode == Mode::Trinary;
         let grey = match image {
             DynamicImage::ImageLuma8(image) => Grey::Luma(image),
             other => Grey::Colour(other.into_rgba16()),
         };
+        let is_transparent = match &grey {
+            Grey::Luma(_) => false,
+            Grey::Colour(image) => image.pixels().any(|pixel| pixel.0[3] < u16::MAX),
+        };
+        let mean_with_alpha = is_transparent && mode == Mode::Trinary;
         Self { width, height, grey, mean_with_alpha }
     }
 
@@ -344,6 +356,27 @@ mod tests {
         let grid = read_map(&path).unwrap();
         assert_eq!(grid.cells(), [Cell::Occupied, Cell::Unknown, Cell::Free]);
         assert_eq!(grid.origin_m(), [1.0, -2.5]);
+    }
+
+    #[test]
+    fn an_alpha_channel_counts_only_if_something_is_transparent() {
+        let folder = Folder::new("alpha");
+        let image = |pixels: &[[u8; 4]]| {
+            let bytes = pixels.concat();
+            let image = image::RgbaImage::from_raw(pixels.len() as u32, 1, bytes).unwrap();
+            let mut png = std::io::Cursor::new(Vec::new());
+            image.write_to(&mut png, image::ImageFormat::Png).unwrap();
+            folder.file("map.png", &png.into_inner());
+            let yaml = yaml_with("").replace("map.pgm", "map.png");
+            read_map(&folder.file("map.yaml", yaml.as_bytes())).unwrap().cells().to_vec()
+        };
+        use Cell::{Free, Occupied, Unknown};
+        // A wall is black, whether the file has an alpha channel or not.
+        let opaque = [[0, 0, 0, 255], [254, 254, 254, 255], [205, 205, 205, 255]];
+        assert_eq!(image(&opaque), [Occupied, Free, Unknown]);
+        // map_server's mean of four: 64, 255 * 3 / 4 = 191, 218.
+        let partly = [[0, 0, 0, 255], [255, 255, 255, 0], [205, 205, 205, 255]];
+        assert_eq!(image(&partly), [Occupied, Unknown, Free]);
     }
 
     #[test]

@@ -190,6 +190,11 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
     let map = scenario.room.map.as_deref().map(straight_map).transpose()?;
     let walls = map.as_ref().map(wall_grid);
     if let (Some(map), Some(walls)) = (&map, &walls) {
+        log::info!("{}", read_of(&scenario, map));
+        // What grows can be any number of robots.
+        if let (Some(grow), Some(robots)) = (&mut scenario.grow, options.robots) {
+            grow.robots = robots.try_into().unwrap_or(u8::MAX);
+        }
         let free: Vec<bool> = map.cells().iter().map(|&cell| cell == Cell::Free).collect();
         scenario.grow_in(walls, &free)?;
     }
@@ -419,6 +424,25 @@ fn straight_map(yaml: &Path) -> Result<OccupancyGrid, RunError> {
         return Err(RunError::TurnedMap { path: yaml.to_owned(), yaw_rad: map.yaw_rad() });
     }
     Ok(map)
+}
+
+/// What was read of a scenario's map, so that somebody sees whether it was read as it was meant.
+fn read_of(scenario: &Scenario, map: &OccupancyGrid) -> String {
+    let counts = map.counts();
+    let cell_m2 = map.resolution_m().powi(2);
+    let metres = |cells: usize| cells as f64 * map.resolution_m();
+    let area = |cells: usize| cells as f64 * cell_m2;
+    let unknown = map.cells().len() - counts.free - counts.occupied;
+    format!(
+        "{}: {:.1} x {:.1} m in cells of {:.3} m: {} cells of walls, {:.0} m2 free, {:.0} m2 unknown",
+        scenario.room.map.as_deref().unwrap_or(Path::new("map")).display(),
+        metres(map.width()),
+        metres(map.height()),
+        map.resolution_m(),
+        counts.occupied,
+        area(counts.free),
+        area(unknown),
+    )
 }
 
 /// The occupied cells of a map as walls.

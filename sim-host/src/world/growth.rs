@@ -43,7 +43,9 @@ impl Scenario {
             let [x_m, y_m] = floor.metres(place);
             if index < usize::from(grow.robots) {
                 let start = StartConfig { x_m, y_m, heading_deg: 0.0 };
-                self.robots.push(RobotConfig::at(index as u16 + 1, start, stops));
+                let sensor = grow.sensor.clone();
+                let robot = RobotConfig::at(index as u16 + 1, start, stops);
+                self.robots.push(RobotConfig { sensor, ..robot });
             } else {
                 let waypoints = std::iter::once([x_m, y_m]).chain(stops).collect();
                 self.people.push(PersonConfig::along(waypoints));

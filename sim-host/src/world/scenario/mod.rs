@@ -164,8 +164,8 @@ pub struct GlareConfig {
     pub brightness: u8,
 }
 
-/// Numbers of cameras, robots and people to be placed in a map.
-#[derive(Clone, Copy, Debug, Deserialize)]
+/// Cameras, robots and people to be placed in a map.
+#[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GrowConfig {
     /// Number of cameras; they look straight down.
@@ -174,6 +174,9 @@ pub struct GrowConfig {
     pub robots: u8,
     /// Number of people.
     pub people: u8,
+    /// The robots' sensor.
+    #[serde(default)]
+    pub sensor: SensorConfig,
 }
 
 /// A wall inside the room.

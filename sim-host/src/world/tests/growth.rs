@@ -2,7 +2,10 @@
 //! stops.
 
 use super::{RESOLUTION, seconds};
-use crate::world::{Scenario, WallGrid, World};
+use crate::{
+    testing::Folder,
+    world::{Scenario, SensorPreset, WallGrid, World},
+};
 
 /// Two rooms of 6 x 5 m with a door of 1.2 m between them, and an inaccessible third.
 fn rooms() -> (WallGrid, Vec<bool>) {
@@ -60,4 +63,18 @@ fn a_map_with_too_little_room_reports_the_number_of_places() {
     }
     let error = office().grow_in(&grid, &free).unwrap_err().to_string();
     assert!(error.contains("grow has free floor for only"), "{error}");
+}
+
+#[test]
+fn grown_robots_have_the_sensor_that_was_asked_for() {
+    let (grid, free) = rooms();
+    let text = include_str!("../../../scenarios/office.toml");
+    let text = text.replace("people = 2", "people = 0\nsensor = { preset = \"depth_row\" }");
+    let folder = Folder::new("grown-sensor");
+    let file = folder.file("scenario.toml", text.as_bytes());
+    let mut scenario = Scenario::read_with(&file, Some("office.yaml".as_ref())).unwrap();
+    scenario.grow_in(&grid, &free).unwrap();
+    let preset = SensorPreset::DepthRow;
+    assert!(scenario.robots.iter().all(|robot| robot.sensor.preset == preset));
+    assert_eq!(scenario.robots.len(), 4);
 }
