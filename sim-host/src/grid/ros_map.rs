@@ -135,7 +135,7 @@ pub fn read_map(yaml: &Path) -> Result<OccupancyGrid, MapError> {
     let image_path = yaml.parent().unwrap_or(Path::new("")).join(&header.image);
     let raster = raster::read(&image_path).map_err(|error| MapError::Image {
         yaml: yaml.to_owned(),
-        image: image_path,
+        image: image_path.clone(),
         error,
     })?;
     let pixels = Pixels::of(raster.image, header.mode);
