@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use ubimap_protocol::{
     link::Terms,
-    message::ObstacleClass,
+    message::{ObstacleClass, Posture},
     tile::{Cell, TileId},
     time::Instant,
     units::{Millimetres, Pose},
@@ -13,7 +13,7 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::{Calibration, DepthImage, DepthNoise, Frame, Intrinsics, Lens, Observation, Picture},
     mapping::CameraLayer,
-    perception::{Detection, Detector, Eye, Footprint, FrameError, Posture, Survey, Tracks},
+    perception::{Detection, Detector, Eye, Footprint, FrameError, Survey, Tracks},
     server::Server,
 };
 
@@ -203,7 +203,7 @@ fn a_walking_person_is_tracked_and_leaves_no_cells_behind() {
         }
     }
     let [track] = &tracks.now().collect::<Vec<_>>()[..] else { panic!("one of them") };
-    assert_eq!((track.class(), track.posture()), (ObstacleClass::Person, Some(Posture::Standing)));
+    assert_eq!((track.class(), track.posture()), (ObstacleClass::Person, Posture::Standing));
     assert!((track.position_m[0] - 2.02).abs() < 0.2, "{track:?}");
     assert!((track.position_m[1] - 1.6).abs() < 0.2, "{track:?}");
     assert!((track.velocity_m_s[0] - 0.4).abs() < 0.1, "{track:?}");
@@ -273,7 +273,7 @@ fn a_fall_is_reported_once() {
         // A height counts after one second.
         if matches!(step, 15..30 | 38..45 | 53..) {
             let track = tracks.now().next().unwrap();
-            assert_eq!(track.posture(), Some(posture), "{step}: {track:?}");
+            assert_eq!(track.posture(), posture, "{step}: {track:?}");
         }
     }
     let [(step, lying)] = told[..] else { panic!("{told:?}") };

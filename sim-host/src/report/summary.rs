@@ -9,6 +9,7 @@ use super::{
     cameras::CameraMove,
     comparison::Comparison,
     link::LinkSummary,
+    people::TrackedPerson,
     points::PointsSummary,
     vision::VisionSummary,
 };
@@ -68,6 +69,9 @@ pub struct Report {
     /// How soon the map showed that furniture was moved; left out if none was.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub changes: Vec<ChangeSummary>,
+    /// Each person that robots are told of at the end; only for simulations.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub people: Vec<TrackedPerson>,
     /// The movements of cameras that were noticed, in order of time; left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub camera_moves: Vec<CameraMove>,
@@ -258,6 +262,7 @@ impl Report {
             drawn_on_standing: None,
             baselines: None,
             changes: Vec::new(),
+            people: Vec::new(),
             camera_moves: Vec::new(),
         }
     }
@@ -393,6 +398,9 @@ impl Report {
         }
         for change in &self.changes {
             write!(f, "{change}")?;
+        }
+        for person in &self.people {
+            writeln!(f, "at the end: {person}")?;
         }
         if let Some(points) = &self.points {
             write!(f, "{points}")?;

@@ -45,7 +45,7 @@ use crate::{
     grid::{self, OccupancyGrid},
     perception::markers::Hue,
     recording::PixelModel,
-    report::{self, Caption, Marker, OutputFile},
+    report::{self, Caption, Marker, OutputFile, TrackedPerson},
     world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
 
@@ -157,6 +157,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     report.driving = Some(ground.summary(&fleet, stage.world()));
     report.vision = stage.vision().map(Vision::summary);
     report.changes = map_age.summary();
+    report.people.clone_from(&seen.people);
     let errors = || scoring::position_errors(&fleet, stage.tracks());
     report.baselines = stage.onboard().map(|onboard| onboard.summary(&errors()));
     report.points = stage.points().map(Pointset::summary);
@@ -320,6 +321,7 @@ struct Seen {
     coverage: OccupancyGrid,
     cameras: Vec<Marker>,
     markers: Vec<Marker>,
+    people: Vec<TrackedPerson>,
     caption: Caption,
 }
 
@@ -336,6 +338,7 @@ impl Seen {
             coverage: OccupancyGrid::from_tiles(tiles, RESOLUTION)?,
             cameras,
             markers,
+            people: markers::tracked_people(deployment, fleet.now()),
             caption: Caption {
                 subject: name.to_string_lossy().into_owned(),
                 seed: Some(options.run.seed),
