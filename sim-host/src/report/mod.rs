@@ -36,7 +36,7 @@ pub use link::LinkSummary;
 pub use network::{Network, NetworkCamera, NetworkPart, PartKind};
 pub use output::{OutputError, OutputFolder};
 pub use output_file::OutputFile;
-pub use people::{TrackedPerson, posture_name};
+pub use people::{RisingSummary, TrackedPerson, posture_name};
 pub use picture::{
     Against, Caption, Marker, MarkerKind, Moment, png, render, render_coverage, render_error,
     render_frames, render_overlap,

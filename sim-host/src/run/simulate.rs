@@ -30,6 +30,7 @@ use super::{
     pointset::Pointset,
     progress::Progress,
     record::{Recorded, Recording},
+    rising::Risings,
     room_stage::RoomStage,
     scan_log::ScanLog,
     scoring,
@@ -110,6 +111,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let end = Instant(0) + duration;
     let ground = BlindGround::of(&world);
     let map_age = MapAge::of(&scenario, walls.as_ref(), RESOLUTION)?;
+    let risings = Risings::of(&scenario, &world, RESOLUTION.metres());
     let mut stage = if options.ideal_cameras {
         RoomStage::new(world, end)
     } else {
@@ -137,6 +139,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         progress.at(fleet.now());
         ground.look(fleet);
         map_age.look(fleet);
+        risings.look(fleet);
         time_lapse.look(fleet);
     })?;
     time_lapse.end(&fleet);
@@ -157,6 +160,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     report.driving = Some(ground.summary(&fleet, stage.world()));
     report.vision = stage.vision().map(Vision::summary);
     report.changes = map_age.summary();
+    report.risings = risings.summary();
     report.people.clone_from(&seen.people);
     let errors = || scoring::position_errors(&fleet, stage.tracks());
     report.baselines = stage.onboard().map(|onboard| onboard.summary(&errors()));
