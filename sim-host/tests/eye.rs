@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use ubimap_protocol::{
     link::Terms,
-    message::ObstacleClass,
+    message::{ObstacleClass, Posture},
     tile::{Cell, TileId},
     time::Instant,
     units::{Millimetres, Pose},
@@ -13,7 +13,7 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     camera::{Calibration, DepthImage, DepthNoise, Frame, Intrinsics, Lens, Observation, Picture},
     mapping::CameraLayer,
-    perception::{Detection, Detector, Eye, Footprint, FrameError, Posture, Survey, Tracks},
+    perception::{Detection, Detector, Eye, Footprint, FrameError, Survey, Tracks},
     server::Server,
 };
 
@@ -203,7 +203,7 @@ fn a_walking_person_is_tracked_and_leaves_no_cells_behind() {
         }
     }
     let [track] = &tracks.now().collect::<Vec<_>>()[..] else { panic!("one of them") };
-    assert_eq!((track.class(), track.posture()), (ObstacleClass::Person, Some(Posture::Standing)));
+    assert_eq!((track.class(), track.posture()), (ObstacleClass::Person, Posture::Standing));
     assert!((track.position_m[0] - 2.02).abs() < 0.2, "{track:?}");
     assert!((track.position_m[1] - 1.6).abs() < 0.2, "{track:?}");
     assert!((track.velocity_m_s[0] - 0.4).abs() < 0.1, "{track:?}");
@@ -252,6 +252,74 @@ fn a_person_who_sits_down_does_not_become_background() {
     }
 }
 
+/// A person who sits when the camera begins, and the chair, which the body hides.
+const SEATED: Cuboid = [[1.2, 1.2, 0.0], [1.6, 1.6, 1.3]];
+const CHAIR: Cuboid = [[1.3, 1.3, 0.0], [1.6, 1.6, 0.45]];
+
+#[test]
+fn a_person_who_sat_there_from_the_beginning_is_found_on_walking_away_and_leaves_the_chair() {
+    for room in [&[WALL][..], &[WALL, CHAIR]] {
+        let mut studio = Studio::new(room);
+        let (mut layer, mut tracks) = (CameraLayer::default(), Tracks::default());
+        let mut observe = |studio: &mut Studio, visitors: &[Cuboid]| {
+            let seen = studio.look(visitors);
+            layer.observe(&seen);
+            tracks.observe(seen.captured, &seen.things, Millimetres(50));
+            // The cells that were under the person, by code.
+            let drawn = under(SEATED).into_iter().map(|(x, y)| {
+                let tile = layer.tile(TileId::of_cell(x, y).unwrap());
+                let code = tile.cell(x.rem_euclid(32) as usize, y.rem_euclid(32) as usize);
+                ((x, y), code)
+            });
+            (drawn.collect::<BTreeMap<_, _>>(), tracks.now().collect::<Vec<_>>())
+        };
+        let count =
+            |cells: &BTreeMap<_, Cell>, code| cells.values().filter(|it| **it == code).count();
+        for _ in 0..100 {
+            observe(&mut studio, &[SEATED]);
+        }
+        let (cells, found) = observe(&mut studio, &[SEATED]);
+        assert!(found.is_empty(), "furniture so far: {found:?}");
+        assert!(count(&cells, Cell::Occupied) >= 8 && count(&cells, Cell::Free) == 0, "{cells:?}");
+
+        // Stands for a second, then walks away at 1 m/s; 5 Hz.
+        let mut told = None;
+        let mut drawn = BTreeMap::new();
+        for step in 0..40 {
+            let at_x = 1.4 + 0.2 * f64::from((step - 4).max(0));
+            let person = at(at_x, 1.4, 1.75);
+            let visitors: &[Cuboid] = if at_x < 2.6 { &[person] } else { &[] };
+            let (cells, found) = observe(&mut studio, visitors);
+            let mut people = found.iter().filter(|it| it.class() == ObstacleClass::Person);
+            if let (Some(person), [_]) = (people.next(), visitors) {
+                told.get_or_insert(step);
+                let [x, y] = person.position_m;
+                let is_known = person.posture() == Posture::Standing;
+                let is_there = (x - at_x).hypot(y - 1.4) < 0.4;
+                assert!(is_known && is_there, "{person:?} in step {step}");
+            }
+            drawn = cells;
+        }
+        // Within a second from leaving.
+        assert!(told.is_some_and(|step| (4..=9).contains(&step)), "{told:?}");
+        let chair = if room.contains(&CHAIR) { under(CHAIR) } else { Vec::new() };
+        let is_chair = |(x, y): &(i32, i32)| {
+            chair.iter().any(|it| (it.0 - x).abs().max((it.1 - y).abs()) <= 1)
+        };
+        let wrong = drawn.iter().filter(|(cell, code)| !is_chair(cell) && **code != Cell::Free);
+        assert_eq!(wrong.count(), 0, "{drawn:?}");
+        // The sides of the chair that face the camera.
+        let faces =
+            chair.iter().filter(|(x, y)| *x == cell(1.31, 0.0).0 || *y == cell(0.0, 1.31).1);
+        let (mut right, mut all) = (0, 0);
+        for face in faces {
+            all += 1;
+            right += usize::from(drawn.get(face) == Some(&Cell::Occupied));
+        }
+        assert!(10 * right >= 8 * all, "{right} of {all}: {drawn:?}");
+    }
+}
+
 #[test]
 fn a_fall_is_reported_once() {
     let mut studio = Studio::learnt(&[WALL]);
@@ -273,7 +341,7 @@ fn a_fall_is_reported_once() {
         // A height counts after one second.
         if matches!(step, 15..30 | 38..45 | 53..) {
             let track = tracks.now().next().unwrap();
-            assert_eq!(track.posture(), Some(posture), "{step}: {track:?}");
+            assert_eq!(track.posture(), posture, "{step}: {track:?}");
         }
     }
     let [(step, lying)] = told[..] else { panic!("{told:?}") };

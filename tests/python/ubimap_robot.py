@@ -26,6 +26,7 @@ RESOLUTION = 50
 #: The side of the window of the server's tiles.
 SIDE = 4
 STARTED, PATH_DONE = 1, 11
+POSTURES = ["unknown", "standing", "sitting", "lying"]
 #: 6: number: (value at the start, lowest, highest). The others of the table it does not have.
 PARAMETERS = {
     1: (0, -2_000, 2_000), 2: (0, -2_000, 2_000), 3: (0, -32_768, 65_535), 4: (35, 0, 10_000),
@@ -203,6 +204,10 @@ class Robot:
 
     def take_Obstacles(self, obstacles, _, now):
         if obstacles["time"] > self.obstacles[0]:
+            people = [it for it in obstacles["obstacles"] if it["class"] == "Person"]
+            for place, person in enumerate(people):
+                # 6: two bits each; an earlier server leaves them out.
+                person["posture"] = POSTURES[obstacles.get("postures", 0) >> 2 * place & 3]
             self.obstacles = obstacles["time"], obstacles["obstacles"]
 
     def take_Path(self, path, _, now):

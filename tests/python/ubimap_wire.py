@@ -156,14 +156,19 @@ class Option:
 
 
 class Struct:
-    def __init__(self, fields):
+    """Fields by name. Those that were `added` may be missing, at the end of a body."""
+
+    def __init__(self, fields, added=()):
         self.fields, self.longest = fields, sum(field.longest for field in fields.values())
+        self.added = added
 
     def read(self, reader):
-        return {name: field.read(reader) for name, field in self.fields.items()}
+        there = ((name, field) for name, field in self.fields.items() if name not in self.added or reader.left())
+        return {name: field.read(reader) for name, field in there}
 
     def write(self, value):
-        return b"".join(field.write(value[name]) for name, field in self.fields.items())
+        there = (name for name in self.fields if name not in self.added or name in value)
+        return b"".join(self.fields[name].write(value[name]) for name in there)
 
 
 class Tuple:
@@ -246,7 +251,8 @@ def split(text, separator):
 
 def fields_of(text):
     pairs = [part.split(" ", 1) for part in split(text, ",")]
-    return Struct({name: type_of(kind) for name, kind in pairs})
+    added = [name for name, kind in pairs if kind.endswith(" +")]
+    return Struct({name: type_of(kind.removesuffix(" +")) for name, kind in pairs}, added)
 
 
 def type_of(text):

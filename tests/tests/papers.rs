@@ -87,6 +87,8 @@ fn robots_in_ubislams_figure_keep_their_poses_and_the_figure_shows_all_of_it() {
     assert!(last.cameras_m < 0.01 && last.matching_m > 0.05 && last.odometry_m > 0.05, "{last:?}");
     let change = run.report.changes[0];
     assert!(change.drawn_s.unwrap() < 1.0 && change.removed_s.unwrap() < 1.0, "{change}");
+    let [rising] = run.report.risings[..] else { panic!("{:?}", run.report.risings) };
+    assert!(rising.told_s.unwrap() < 2.0 && rising.freed_s.unwrap() < 3.0, "{rising}");
     let (_, svg) = run.tables.iter().find(|(name, _)| *name == "network.svg").unwrap();
     for label in ["C1", "C2", "C3", "C4", "R1", "R2", "R3", "OB1", "OB2"] {
         assert!(svg.contains(&format!(">{label}</text>")), "{label}");

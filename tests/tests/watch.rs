@@ -112,9 +112,10 @@ fn a_recorded_simulation_gives_the_simulations_results() {
     assert!(report.map.free > 3_000 && report.map.occupied > 100, "{:?}", report.map);
     assert!(report.map.in_view > 3_000, "{:?}", report.map);
     let live: Vec<[f64; 2]> =
-        server.obstacles().1.iter().map(|it| [it.x.metres(), it.y.metres()]).collect();
+        server.obstacles().1.iter().map(|(it, _)| [it.x.metres(), it.y.metres()]).collect();
     assert_eq!(report.things.iter().map(|it| it.position_m).collect::<Vec<_>>(), live);
-    let people = server.obstacles().1.iter().filter(|it| it.class == ObstacleClass::Person).count();
+    let people =
+        server.obstacles().1.iter().filter(|(it, _)| it.class == ObstacleClass::Person).count();
     assert!(people > 0, "{:?}", report.things);
     // Robots, people, cameras.
     assert_eq!(outcome.markers.len(), 2 + people + 2);

@@ -201,7 +201,7 @@ fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> M
     let within = |obstacle: &Obstacle, of: Pose, radius: i32| {
         squared_distance(of, obstacle.x, obstacle.y) < i64::from(radius).pow(2)
     };
-    for obstacle in &obstacles.obstacles {
+    for (obstacle, posture) in obstacles.told() {
         // Cameras may report a robot as an obstacle, too.
         let is_robot = within(obstacle, pose, own_radius)
             || peers.iter().any(|peer| within(obstacle, peer.pose, radius(peer).into()));
@@ -218,6 +218,7 @@ fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> M
             velocity_y: obstacle.velocity_y,
             radius: obstacle.radius,
             is_person: obstacle.class == ObstacleClass::Person,
+            is_at_rest: posture.is_at_rest(),
         });
     }
     movers

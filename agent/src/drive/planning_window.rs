@@ -41,16 +41,22 @@ pub struct Mover {
     pub radius: u16,
     /// Whether it is a person: the robot waits for people.
     pub is_person: bool,
+    /// Whether the person sits or lies. Such a person does not step aside: the robot does not wait,
+    /// and keeps farther away.
+    pub is_at_rest: bool,
 }
 
 impl Mover {
     /// Below this speed it counts as standing, in mm/s.
     const STANDS: u16 = 100;
+    /// Width of the costly ground around a person at rest, in millimetres: the reach of an arm.
+    const ARM: i32 = 400;
 
-    /// Whether it stands still.
+    /// Whether it stays where it is; the velocity of a person at rest is that of arms and legs.
     pub fn stands(&self) -> bool {
-        self.velocity_x.unsigned_abs() < Self::STANDS
-            && self.velocity_y.unsigned_abs() < Self::STANDS
+        self.is_at_rest
+            || self.velocity_x.unsigned_abs() < Self::STANDS
+                && self.velocity_y.unsigned_abs() < Self::STANDS
     }
 }
 
@@ -107,7 +113,8 @@ pub struct PlanningWindow {
     /// thick as the larger cells, this holds for the cell's centre only: such windows are for
     /// planning, not for driving.
     pub free: Plane,
-    /// The free cells where a movable object stood when it was last seen.
+    /// The free cells where a movable object stood when it was last seen, and those around a person
+    /// who sits or lies.
     pub dear: Plane,
     /// Whether `dear` contains any cell.
     pub(super) has_dear: bool,
@@ -146,9 +153,11 @@ impl PlanningWindow {
         self.clear_under(view, &mut occupied);
         let standing = view.movers.iter().filter(|mover| mover.stands());
         for mover in standing {
-            disc(self.relative(mover.x, mover.y), mover.radius.into(), self.cell, |y, cells| {
-                *occupied.row_mut(y) |= cells;
-            });
+            let (middle, radius) = (self.relative(mover.x, mover.y), i32::from(mover.radius));
+            add_disc(&mut occupied, middle, radius, self.cell);
+            if mover.is_at_rest {
+                add_disc(&mut self.dear, middle, radius + Mover::ARM, self.cell);
+            }
         }
         let to_window = self.of_robot(view.pose);
         for &(x, y) in view.near.points() {
@@ -442,6 +451,12 @@ fn disc((x, y): (f32, f32), radius: i32, cell: i32, mut take: impl FnMut(usize, 
             take(row, u64::MAX << (from % 64) & u64::MAX >> (63 - to as u32 % 64));
         }
     }
+}
+
+/// Adds a disc to a plane. Not inlined, so that the firmware has it once.
+#[inline(never)]
+fn add_disc(plane: &mut Plane, middle: (f32, f32), radius: i32, cell: i32) {
+    disc(middle, radius, cell, |y, cells| *plane.row_mut(y) |= cells);
 }
 
 /// Maximum inflation of an obstacle, in cells.

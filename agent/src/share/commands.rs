@@ -119,7 +119,7 @@ mod tests {
         let mut commands = Commands::default();
         for (time, newest) in [(2, 2), (1, 2), (3, 3)].map(|(a, b)| (Instant(a), Instant(b))) {
             let peers = Peers { time, peers: Default::default() };
-            let obstacles = Obstacles { time, obstacles: Default::default() };
+            let obstacles = Obstacles::with_postures(time, core::iter::empty());
             assert_eq!(take(&mut commands, &peers), Some(()));
             assert_eq!(take(&mut commands, &obstacles), Some(()));
             assert_eq!(commands.peers().map(|peers| peers.time), Some(newest));

@@ -48,8 +48,8 @@ pub use shared::{
 pub use to_robot::{
     Certainty, EarlierFix, FixSource, Freshness, MAX_EARLIER_FIXES, MAX_FRESH_BYTES, MAX_OBSTACLES,
     MAX_PEERS, MAX_STORED, MAX_WAYPOINTS, Obstacle, ObstacleClass, Obstacles, ParameterAction,
-    ParameterCommand, Path, Peer, Peers, PoseFix, Refusal, RefusalReason, Reset, SealedReset, Stop,
-    Stored, TimeReply, ToRobotKind, ToRobotMessage, Waypoint, Welcome,
+    ParameterCommand, Path, Peer, Peers, PoseFix, Posture, Postures, Refusal, RefusalReason, Reset,
+    SealedReset, Stop, Stored, TimeReply, ToRobotKind, ToRobotMessage, Waypoint, Welcome,
 };
 pub use to_server::{
     DistanceVector, Event, EventCode, Hello, Interest, MAX_COLUMNS, MAX_DETAIL, ParameterOutcome,

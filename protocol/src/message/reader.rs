@@ -1,28 +1,30 @@
 //! A postcard deserializer for small firmware: the code for each primitive type exists once,
 //! instead of once for every field of every message. This halves the code size of reading.
 
-use postcard::{Deserializer, Error, de_flavors::Slice};
+use postcard::Error;
 use serde::{
     Deserialize,
     de::{self, DeserializeSeed, EnumAccess, IntoDeserializer, SeqAccess, VariantAccess, Visitor},
 };
 
-/// Wraps postcard's deserializer, which reads the primitive types.
-pub(super) struct Reader<'de>(Deserializer<'de, Slice<'de>>);
+/// Reads the primitive types with postcard, and composes the others. Holds the unread bytes.
+pub(super) struct Reader<'de>(&'de [u8]);
 
 impl<'de> Reader<'de> {
     pub(super) fn new(bytes: &'de [u8]) -> Self {
-        Self(Deserializer::from_bytes(bytes))
+        Self(bytes)
     }
 
     /// The unread bytes.
-    pub(super) fn rest(self) -> Result<&'de [u8], Error> {
-        self.0.finalize()
+    pub(super) fn rest(self) -> &'de [u8] {
+        self.0
     }
 
     #[inline(never)]
     fn one<T: Deserialize<'de>>(&mut self) -> Result<T, Error> {
-        T::deserialize(&mut self.0)
+        let (one, rest) = postcard::take_from_bytes(self.0)?;
+        self.0 = rest;
+        Ok(one)
     }
 }
 
@@ -127,9 +129,10 @@ impl<'de> de::Deserializer<'de> for &mut Reader<'de> {
         visitor.visit_enum(self)
     }
 
-    // Postcard is not self-describing.
-    fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Error> {
-        Err(Error::WontImplement)
+    /// Reads a number that has been added to the end of a message: 0 if the body ends before it.
+    /// (Postcard is not self-describing, so this method has no other use.)
+    fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+        visitor.visit_u32(if self.0.is_empty() { 0 } else { self.one()? })
     }
 
     serde::forward_to_deserialize_any! { i128 u128 char map identifier ignored_any }

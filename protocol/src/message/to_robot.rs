@@ -3,7 +3,10 @@
 use core::fmt;
 
 use heapless::Vec;
-use serde::{Deserialize, Serialize};
+use serde::{
+    Deserialize, Deserializer, Serialize,
+    de::{Error, Visitor},
+};
 
 use super::{
     direction::{Body, ToRobot},
@@ -269,6 +272,108 @@ pub struct Obstacles {
     pub time: Instant,
     /// The obstacles, nearest first.
     pub obstacles: Vec<Obstacle, MAX_OBSTACLES>,
+    /// The postures of the persons among them; absent in messages of earlier servers.
+    #[serde(default, skip_serializing_if = "Postures::are_unknown")]
+    pub postures: Postures,
+}
+
+impl Obstacles {
+    /// A message with these obstacles and the posture of each, as many as it can hold. Only the
+    /// postures of persons travel.
+    pub fn with_postures(time: Instant, told: impl Iterator<Item = (Obstacle, Posture)>) -> Self {
+        let (mut obstacles, mut postures, mut shift) = (Vec::new(), 0, 0);
+        for (obstacle, posture) in told.take(MAX_OBSTACLES) {
+            if obstacle.class == ObstacleClass::Person {
+                postures |= (posture as u32) << shift;
+                shift += 2;
+            }
+            // Holds as many as were taken.
+            let _ = obstacles.push(obstacle);
+        }
+        Self { time, obstacles, postures: Postures(postures) }
+    }
+
+    /// The obstacles, nearest first, and the posture of each; unknown for all but persons.
+    pub fn told(&self) -> impl Iterator<Item = (&Obstacle, Posture)> {
+        let mut postures = self.postures.0;
+        self.obstacles.iter().map(move |obstacle| {
+            if obstacle.class != ObstacleClass::Person {
+                return (obstacle, Posture::Unknown);
+            }
+            let posture = Posture::from_bits(postures);
+            postures >>= 2;
+            (obstacle, posture)
+        })
+    }
+}
+
+/// The postures of the persons in a list of obstacles: two bits for each person, in the order of the
+/// list, the lowest first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Postures(pub u32);
+
+impl<'de> Deserialize<'de> for Postures {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Number;
+        impl Visitor<'_> for Number {
+            type Value = Postures;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("two bits for each person")
+            }
+
+            fn visit_u32<E>(self, bits: u32) -> Result<Postures, E> {
+                Ok(Postures(bits))
+            }
+
+            // From JSON.
+            fn visit_u64<E: Error>(self, bits: u64) -> Result<Postures, E> {
+                let bits = u32::try_from(bits).map_err(|_| E::custom("more than 32 bits"))?;
+                Ok(Postures(bits))
+            }
+        }
+        // The reader takes this for an added field, which may be absent.
+        deserializer.deserialize_any(Number)
+    }
+}
+
+impl Postures {
+    /// Whether no posture is known; the field is then left out of the message.
+    fn are_unknown(&self) -> bool {
+        self.0 == 0
+    }
+}
+
+/// The posture of a person, derived from the height.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Posture {
+    /// Not known, or not a person.
+    #[default]
+    Unknown = 0,
+    /// Upright.
+    Standing = 1,
+    /// On a seat, or crouching.
+    Sitting = 2,
+    /// On the floor.
+    Lying = 3,
+}
+
+impl Posture {
+    /// The posture in the lowest two bits.
+    fn from_bits(bits: u32) -> Self {
+        match bits & 3 {
+            0 => Self::Unknown,
+            1 => Self::Standing,
+            2 => Self::Sitting,
+            _ => Self::Lying,
+        }
+    }
+
+    /// Whether the person sits or lies: such a person does not step aside.
+    pub fn is_at_rest(self) -> bool {
+        matches!(self, Self::Sitting | Self::Lying)
+    }
 }
 
 /// An object or a person.
@@ -384,6 +489,57 @@ pub struct Stored {
 mod tests {
     use super::*;
     use crate::units::Angle;
+
+    #[test]
+    fn postures_of_persons_travel_in_two_bits_each_and_may_be_absent() {
+        use super::super::{Message, Messages, Writer};
+        let one = |class| Obstacle {
+            number: 1,
+            class,
+            x: Millimetres(5),
+            y: Millimetres(6),
+            velocity_x: 0,
+            velocity_y: 0,
+            radius: 250,
+        };
+        let (person, thing) = (one(ObstacleClass::Person), one(ObstacleClass::Movable));
+        let told = [
+            (person, Posture::Sitting),
+            (thing, Posture::Lying),
+            (person, Posture::Unknown),
+            (person, Posture::Standing),
+            (person, Posture::Lying),
+        ];
+        let message = Obstacles::with_postures(Instant(9), told.into_iter());
+        assert_eq!(message.postures, Postures(0b11_01_00_10));
+        let expected =
+            told.map(|(it, posture)| (it, if it == person { posture } else { Posture::Unknown }));
+        let read: std::vec::Vec<_> = message.told().map(|(it, posture)| (*it, posture)).collect();
+        assert_eq!(read, expected);
+
+        let mut buffer = [0; 99];
+        let mut written = |message: &Obstacles| {
+            let mut writer = Writer::<ToRobot>::new(&mut buffer);
+            assert!(writer.push(message));
+            let len = writer.len();
+            Messages::<ToRobot>::new(&buffer[..len]).next().unwrap().unwrap().body.to_vec()
+        };
+        let body = written(&message);
+        let unknown = told.map(|(it, _)| (it, Posture::Unknown));
+        let bare = Obstacles::with_postures(Instant(9), unknown.into_iter());
+        let earlier = written(&bare);
+        assert_eq!(body[..earlier.len()], earlier, "an earlier robot reads the same");
+        assert_eq!(body[earlier.len()..], [0b1101_0010, 1], "a varint");
+        let read = |body: &[u8]| {
+            Message::<ToRobot>::new(ToRobotKind::Obstacles.into(), body).decode::<Obstacles>()
+        };
+        assert_eq!(read(&body), Ok(message));
+        assert_eq!(read(&earlier), Ok(bare));
+        // A body that ends within the field, or before one that was there from the beginning.
+        for end in (0..body.len()).filter(|&end| end != earlier.len()) {
+            assert!(read(&body[..end]).is_err(), "{end} bytes");
+        }
+    }
 
     #[test]
     fn repeated_fixes_read_back() {

@@ -32,7 +32,8 @@ impl<'a, T: DeserializeOwned> Encoded<'a, T> {
         Self { body, decoded: PhantomData }
     }
 
-    /// Decodes the body. Trailing bytes (fields added by a later version) are ignored.
+    /// Decodes the body. Trailing bytes (fields added since) are ignored, and added fields that are
+    /// absent have their defaults.
     ///
     /// # Errors
     /// [`MalformedMessage`] if the body cannot be decoded.
@@ -48,7 +49,7 @@ impl<'a, T: DeserializeOwned> Encoded<'a, T> {
     pub fn split(self) -> Result<(T, &'a [u8]), MalformedMessage> {
         let mut reader = Reader::new(self.body);
         let head = decode(&mut reader)?;
-        Ok((head, reader.rest().map_err(|_| MalformedMessage)?))
+        Ok((head, reader.rest()))
     }
 }
 

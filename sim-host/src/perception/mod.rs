@@ -34,4 +34,4 @@ pub use floor_plane::{DepthSamples, FloorError, FloorPlane};
 pub use footprint::Footprint;
 pub use observer::Observer;
 pub use ray_table::{RayTable, Survey};
-pub use tracks::{Lying, Posture, Track, Tracks};
+pub use tracks::{Lying, Track, Tracks};

@@ -3,7 +3,7 @@
 use std::collections::{BTreeSet, VecDeque};
 
 use ubimap_protocol::{
-    message::ObstacleClass,
+    message::{ObstacleClass, Posture},
     time::{Duration, Instant},
     units::Millimetres,
 };
@@ -33,17 +33,6 @@ const SITTING_MM: u16 = 550;
 const LYING_FOR: Duration = Duration::from_secs(1);
 /// Duration for which a height is kept: a camera that sees only the legs does not shrink a person.
 const HEIGHT_FOR: Duration = Duration::from_secs(1);
-
-/// The posture of a person, derived from the height.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Posture {
-    /// Upright.
-    Standing,
-    /// On a chair, or crouching.
-    Sitting,
-    /// On the floor.
-    Lying,
-}
 
 /// A tracked object.
 #[derive(Clone, Debug, PartialEq)]
@@ -181,14 +170,15 @@ impl Track {
         }
     }
 
-    /// The posture of a person; `None` for other objects and for an unknown height.
-    pub fn posture(&self) -> Option<Posture> {
-        let is_known = self.class() == ObstacleClass::Person && self.top_mm > 0;
-        is_known.then_some(match self.top_mm {
+    /// The posture of a person, derived from the height; unknown for other objects.
+    pub fn posture(&self) -> Posture {
+        match self.top_mm {
+            _ if self.class() != ObstacleClass::Person => Posture::Unknown,
             STANDING_MM.. => Posture::Standing,
             SITTING_MM.. => Posture::Sitting,
-            _ => Posture::Lying,
-        })
+            1.. => Posture::Lying,
+            0 => Posture::Unknown,
+        }
     }
 
     /// The cells, with sides of `side`, of a square around the object.
@@ -225,7 +215,7 @@ impl Track {
 
     /// Returns a report, once, as soon as it is certain that a person is lying on the floor.
     fn falls(&mut self) -> Option<Lying> {
-        if self.posture() != Some(Posture::Lying) {
+        if self.posture() != Posture::Lying {
             self.lies = None;
             return None;
         }

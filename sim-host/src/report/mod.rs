@@ -13,6 +13,7 @@ mod link;
 mod network;
 mod output;
 mod output_file;
+mod people;
 mod picture;
 mod placing;
 mod points;
@@ -35,6 +36,7 @@ pub use link::LinkSummary;
 pub use network::{Network, NetworkCamera, NetworkPart, PartKind};
 pub use output::{OutputError, OutputFolder};
 pub use output_file::OutputFile;
+pub use people::{RisingSummary, TrackedPerson, posture_name};
 pub use picture::{
     Against, Caption, Marker, MarkerKind, Moment, png, render, render_coverage, render_error,
     render_frames, render_overlap,

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::{CameraMove, HexDigest, SeenMap, ServedRobot, link::LinkSummary};
+use super::{CameraMove, HexDigest, SeenMap, ServedRobot, TrackedPerson, link::LinkSummary};
 use crate::grid::Scores;
 
 /// Results of serving robots on serial ports and sockets, with or without cameras.
@@ -19,6 +19,8 @@ pub struct ServeReport {
     pub version: u32,
     /// Each robot of the deployment, and those that came beside them, by number.
     pub robots: Vec<ServedRobot>,
+    /// Each person that robots are told of at this time.
+    pub people: Vec<TrackedPerson>,
     /// Each port, in the order given.
     pub ports: Vec<PortSummary>,
     /// Each camera, in the order of the deployment's file.
@@ -197,10 +199,11 @@ impl ServeReport {
     }
 }
 
-/// A line for each robot, camera and movement, two for each port, and its newest events.
+/// A line for each robot, person, camera and movement, two for each port, and its newest events.
 impl fmt::Display for ServeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.robots.iter().try_for_each(|robot| writeln!(f, "{robot}"))?;
+        self.people.iter().try_for_each(|person| writeln!(f, "{person}"))?;
         self.cameras.iter().try_for_each(|camera| writeln!(f, "{camera}"))?;
         for moved in &self.camera_moves {
             match self.cameras.get(moved.camera) {

@@ -9,6 +9,7 @@ use super::{
     cameras::CameraMove,
     comparison::Comparison,
     link::LinkSummary,
+    people::{RisingSummary, TrackedPerson},
     points::PointsSummary,
     vision::VisionSummary,
 };
@@ -68,6 +69,13 @@ pub struct Report {
     /// How soon the map showed that furniture was moved; left out if none was.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub changes: Vec<ChangeSummary>,
+    /// How soon people who had sat or lain there from the beginning were found when they rose; left out
+    /// if nobody did.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub risings: Vec<RisingSummary>,
+    /// Each person that robots are told of at the end; only for simulations.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub people: Vec<TrackedPerson>,
     /// The movements of cameras that were noticed, in order of time; left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub camera_moves: Vec<CameraMove>,
@@ -258,6 +266,8 @@ impl Report {
             drawn_on_standing: None,
             baselines: None,
             changes: Vec::new(),
+            risings: Vec::new(),
+            people: Vec::new(),
             camera_moves: Vec::new(),
         }
     }
@@ -393,6 +403,12 @@ impl Report {
         }
         for change in &self.changes {
             write!(f, "{change}")?;
+        }
+        for rising in &self.risings {
+            writeln!(f, "{rising}")?;
+        }
+        for person in &self.people {
+            writeln!(f, "at the end: {person}")?;
         }
         if let Some(points) = &self.points {
             write!(f, "{points}")?;

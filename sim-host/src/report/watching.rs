@@ -92,6 +92,8 @@ pub struct SeenRobot {
 pub struct SeenThing {
     /// "person", "movable" or "fixed", by height and motion.
     pub class: &'static str,
+    /// "standing", "sitting" or "lying" for a person, by height; `None` if unknown.
+    pub posture: Option<&'static str>,
     /// The centre in `map`, in metres.
     pub position_m: [f64; 2],
     /// The velocity in `map`, in metres per second.
@@ -187,12 +189,13 @@ impl fmt::Display for WatchReport {
                 None => writeln!(f, "       never")?,
             }
         }
-        for SeenThing { class, position_m: [x, y], velocity_m_s: [vx, vy], radius_m } in
+        for SeenThing { class, posture, position_m: [x, y], velocity_m_s: [vx, vy], radius_m } in
             &self.things
         {
+            let posture = posture.map_or(String::new(), |posture| format!(", {posture},"));
             writeln!(
                 f,
-                "at the end: {class} at ({x:.2}, {y:.2}) m, {:.2} m/s, within {radius_m:.2} m",
+                "at the end: {class}{posture} at ({x:.2}, {y:.2}) m, {:.2} m/s, within {radius_m:.2} m",
                 vx.hypot(*vy)
             )?;
         }

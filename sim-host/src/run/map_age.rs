@@ -100,7 +100,8 @@ impl MapAge {
     }
 }
 
-fn occupied(fused: &ServedLayer, cells: &[(i32, i32)]) -> usize {
+/// Number of the cells that are occupied, fixed or movable.
+pub(super) fn occupied(fused: &ServedLayer, cells: &[(i32, i32)]) -> usize {
     let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
     let is_occupied = |&&(x, y): &&(i32, i32)| {
         let tile = TileId::of_cell(x, y).and_then(|id| fused.get(id));

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use ubimap_protocol::{
-    message::{Obstacle, ObstacleClass},
+    message::{Obstacle, ObstacleClass, Posture},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
@@ -11,7 +11,7 @@ use super::fleet::Fleet;
 use crate::{
     camera::{Calibration, Lens},
     deployment::Deployment,
-    report::{Marker, MarkerKind},
+    report::{Marker, MarkerKind, TrackedPerson},
     server::Footprint,
 };
 
@@ -52,17 +52,22 @@ pub(super) fn radius_m(deployment: &Deployment, robot: RobotId) -> f64 {
     f64::from(half_length.max(half_width)) / 1000.0
 }
 
-/// The people and things that a deployment tracks at `now`.
-pub(super) fn followed(deployment: &Deployment, now: Instant) -> Vec<Obstacle> {
+/// The people and things that a deployment tracks at `now`, and the posture of each.
+pub(super) fn followed(deployment: &Deployment, now: Instant) -> Vec<(Obstacle, Posture)> {
     let (moment, obstacles) = deployment.server().obstacles();
     let is_recent = deployment.server_time(now).since(moment) <= RECENT;
     if is_recent { obstacles } else { Vec::new() }
 }
 
+/// The people that robots are told of at `now`.
+pub(super) fn tracked_people(deployment: &Deployment, now: Instant) -> Vec<TrackedPerson> {
+    followed(deployment, now).into_iter().filter_map(TrackedPerson::of).collect()
+}
+
 /// The people that a deployment tracks at `now`.
 pub(super) fn people(deployment: &Deployment, now: Instant) -> Vec<Marker> {
     let people = followed(deployment, now).into_iter();
-    let people = people.filter(|it| it.class == ObstacleClass::Person).map(|person| {
+    let people = people.filter(|(it, _)| it.class == ObstacleClass::Person).map(|(person, _)| {
         let place = [person.x, person.y].map(Millimetres::metres);
         let heading = f64::from(person.velocity_y).atan2(person.velocity_x.into());
         let radius_m = f64::from(person.radius) / 1000.0;

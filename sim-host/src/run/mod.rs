@@ -37,6 +37,7 @@ pub mod replay;
 pub mod reproduce;
 #[cfg(target_os = "linux")]
 pub mod rig;
+mod rising;
 pub mod robot;
 mod robots_file;
 pub mod room_stage;

@@ -30,6 +30,7 @@ use super::{
     pointset::Pointset,
     progress::Progress,
     record::{Recorded, Recording},
+    rising::Risings,
     room_stage::RoomStage,
     scan_log::ScanLog,
     scoring,
@@ -45,7 +46,7 @@ use crate::{
     grid::{self, OccupancyGrid},
     perception::markers::Hue,
     recording::PixelModel,
-    report::{self, Caption, Marker, OutputFile},
+    report::{self, Caption, Marker, OutputFile, TrackedPerson},
     world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
 
@@ -110,6 +111,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let end = Instant(0) + duration;
     let ground = BlindGround::of(&world);
     let map_age = MapAge::of(&scenario, walls.as_ref(), RESOLUTION)?;
+    let risings = Risings::of(&scenario, &world, RESOLUTION.metres());
     let mut stage = if options.ideal_cameras {
         RoomStage::new(world, end)
     } else {
@@ -137,6 +139,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         progress.at(fleet.now());
         ground.look(fleet);
         map_age.look(fleet);
+        risings.look(fleet);
         time_lapse.look(fleet);
     })?;
     time_lapse.end(&fleet);
@@ -157,6 +160,8 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     report.driving = Some(ground.summary(&fleet, stage.world()));
     report.vision = stage.vision().map(Vision::summary);
     report.changes = map_age.summary();
+    report.risings = risings.summary();
+    report.people.clone_from(&seen.people);
     let errors = || scoring::position_errors(&fleet, stage.tracks());
     report.baselines = stage.onboard().map(|onboard| onboard.summary(&errors()));
     report.points = stage.points().map(Pointset::summary);
@@ -325,6 +330,7 @@ struct Seen {
     coverage: OccupancyGrid,
     cameras: Vec<Marker>,
     markers: Vec<Marker>,
+    people: Vec<TrackedPerson>,
     caption: Caption,
 }
 
@@ -341,6 +347,7 @@ impl Seen {
             coverage: OccupancyGrid::from_tiles(tiles, RESOLUTION)?,
             cameras,
             markers,
+            people: markers::tracked_people(deployment, fleet.now()),
             caption: Caption {
                 subject: name.to_string_lossy().into_owned(),
                 seed: Some(options.run.seed),

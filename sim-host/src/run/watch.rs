@@ -6,7 +6,7 @@ use std::{fmt::Write, path::Path, time};
 
 use ubimap_protocol::{
     frame::MAX_FRAME,
-    message::{Obstacle, ObstacleClass},
+    message::{Obstacle, ObstacleClass, Posture},
     time::Instant,
     units::{Pose, RobotId},
 };
@@ -24,7 +24,7 @@ use crate::{
     recording::{LogError, Reading, RecordedFrames},
     report::{
         self, CameraSummary, Caption, HexDigest, Marker, MarkerKind, PassedEvent, SeenFloor,
-        SeenMap, SeenRobot, SeenThing, WatchReport,
+        SeenMap, SeenRobot, SeenThing, WatchReport, posture_name,
     },
     server::Server,
 };
@@ -66,7 +66,7 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     let report = WatchReport {
         cameras: seen.cameras(&floors),
         robots: seen.robots(&registry),
-        things: markers::followed(&deployment, end).iter().map(thing).collect(),
+        things: markers::followed(&deployment, end).into_iter().map(thing).collect(),
         events: events(server, &frames),
         camera_moves: figures::camera_moves(&deployment),
         map: seen.map(&map, &coverage),
@@ -262,7 +262,7 @@ fn metres_and_degrees(pose: Pose) -> [f64; 3] {
     [pose.x.metres(), pose.y.metres(), pose.heading.degrees()]
 }
 
-fn thing(obstacle: &Obstacle) -> SeenThing {
+fn thing((obstacle, posture): (Obstacle, Posture)) -> SeenThing {
     let metres = |millimetres: i16| f64::from(millimetres) / 1000.0;
     SeenThing {
         class: match obstacle.class {
@@ -270,6 +270,7 @@ fn thing(obstacle: &Obstacle) -> SeenThing {
             ObstacleClass::Movable => "movable",
             ObstacleClass::Fixed => "fixed",
         },
+        posture: posture_name(posture),
         position_m: [obstacle.x.metres(), obstacle.y.metres()],
         velocity_m_s: [obstacle.velocity_x, obstacle.velocity_y].map(metres),
         radius_m: f64::from(obstacle.radius) / 1000.0,

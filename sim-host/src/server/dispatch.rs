@@ -80,7 +80,8 @@ impl Dispatch {
             Whereabouts { robot, moment, pose, footprint, has_session }
         });
         let robots: Vec<Whereabouts> = robots.collect();
-        let obstacles = snapshot.surroundings.all_obstacles();
+        let obstacles = snapshot.surroundings.all_obstacles().into_iter();
+        let obstacles: Vec<_> = obstacles.map(|(obstacle, _)| obstacle).collect();
         let Snapshot { fused, coverage, .. } = *snapshot;
         let situation = Situation { fused, coverage, robots: &robots, obstacles: &obstacles };
         self.coordinator.tick(&situation, now);

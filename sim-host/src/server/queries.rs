@@ -3,7 +3,7 @@
 use ubimap_protocol::{
     frame::SessionId,
     link::Counters,
-    message::{DistanceVector, Obstacle, ParameterReport, State},
+    message::{DistanceVector, Obstacle, ParameterReport, Posture, State},
     tile::{Epoch, TileId},
     time::Instant,
     units::{Pose, RobotId},
@@ -139,7 +139,7 @@ impl Server {
     }
 
     /// The time of the positions, and the people and things tracked by cameras.
-    pub fn obstacles(&self) -> (Instant, Vec<Obstacle>) {
+    pub fn obstacles(&self) -> (Instant, Vec<(Obstacle, Posture)>) {
         (self.surroundings.obstacles_moment(), self.surroundings.all_obstacles())
     }
 

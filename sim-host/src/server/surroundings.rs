@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use ubimap_protocol::{
-    message::{Obstacle, Peer},
+    message::{Obstacle, Peer, Posture},
     time::Instant,
     units::{Millimetres, Pose, RobotId},
 };
@@ -121,8 +121,8 @@ impl Surroundings {
         })
     }
 
-    /// All people and things.
-    pub(super) fn all_obstacles(&self) -> Vec<Obstacle> {
+    /// All people and things, and the posture of each.
+    pub(super) fn all_obstacles(&self) -> Vec<(Obstacle, Posture)> {
         self.tracks.now().map(|track| obstacle(&track)).collect()
     }
 
@@ -131,12 +131,12 @@ impl Surroundings {
         self.tracks.moment()
     }
 
-    /// The people and things within [`NEAR_M`] of `robot`, nearest first.
-    pub(super) fn obstacles(&self, robot: RobotId) -> Vec<Obstacle> {
+    /// The people and things within [`NEAR_M`] of `robot`, nearest first, and the posture of each.
+    pub(super) fn obstacles(&self, robot: RobotId) -> Vec<(Obstacle, Posture)> {
         let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
         let obstacles = self.tracks.now().map(|track| {
-            let obstacle = obstacle(&track);
-            (distance_m(me, obstacle.x, obstacle.y), obstacle)
+            let told = obstacle(&track);
+            (distance_m(me, told.0.x, told.0.y), told)
         });
         nearest_first(obstacles)
     }
@@ -147,12 +147,12 @@ impl Surroundings {
     }
 }
 
-fn obstacle(track: &Track) -> Obstacle {
+fn obstacle(track: &Track) -> (Obstacle, Posture) {
     let [x, y] = track.position_m.map(Millimetres::from_metres);
     let millimetres = |metres: f64| (metres * 1000.0).round();
     // The casts saturate.
     let [velocity_x, velocity_y] = track.velocity_m_s.map(|it| millimetres(it) as i16);
-    Obstacle {
+    let obstacle = Obstacle {
         number: track.number,
         class: track.class(),
         x,
@@ -160,7 +160,8 @@ fn obstacle(track: &Track) -> Obstacle {
         velocity_x,
         velocity_y,
         radius: millimetres(track.radius_m) as u16,
-    }
+    };
+    (obstacle, track.posture())
 }
 
 fn distance_m(from: Pose, x: Millimetres, y: Millimetres) -> f64 {

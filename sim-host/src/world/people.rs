@@ -1,4 +1,5 @@
-//! People who walk from stop to stop, pause there, and wait for anyone in their way.
+//! People who walk from stop to stop, pause there, and wait for anyone in their way; some sit or lie
+//! until they rise.
 
 use parry2d_f64::glamx::DVec2;
 use rand::RngExt;
@@ -33,6 +34,9 @@ const PATIENCE: f64 = 1.5;
 #[derive(Clone, Debug)]
 pub struct Person {
     config: PersonConfig,
+    posture: PostureConfig,
+    /// Seconds until a person who sits or lies rises, if ever.
+    rises_in: Option<f64>,
     position: DVec2,
     heading: f64,
     paint: u32,
@@ -58,9 +62,9 @@ impl Person {
         self.body().height
     }
 
-    /// The posture.
+    /// The present posture.
     pub fn posture(&self) -> PostureConfig {
-        self.config.posture
+        self.posture
     }
 
     pub(super) fn new(config: &PersonConfig, index: usize, dice: ChaCha8Rng) -> Self {
@@ -68,6 +72,8 @@ impl Person {
         let position = stops.next().unwrap_or_default();
         Self {
             config: config.clone(),
+            posture: config.posture,
+            rises_in: config.rises_s,
             position,
             heading: config.heading_deg.to_radians(),
             paint: 1_000 + index as u32,
@@ -79,7 +85,7 @@ impl Person {
     }
 
     pub(super) fn body(&self) -> Body {
-        body(&self.config, self.position)
+        body(&self.config, self.posture, self.position)
     }
 
     /// The visible parts of the person.
@@ -98,7 +104,7 @@ impl Person {
             Footprint::rectangle(centre, DVec2::new(length, width), self.heading)
         };
         let (top, stature) = (self.height_m(), self.config.height_m);
-        match self.config.posture {
+        match self.posture {
             PostureConfig::Standing => {
                 let neck = 0.84 * top;
                 vec![
@@ -131,8 +137,15 @@ impl Person {
         }
     }
 
-    /// Walks for one time step among `others`.
+    /// Walks for one time step among `others`, once the person stands.
     pub(super) fn step(&mut self, seconds: f64, others: &[Body]) {
+        if self.posture != PostureConfig::Standing {
+            self.rises_in = self.rises_in.map(|left| left - seconds);
+            if self.rises_in.is_some_and(|left| left <= 0.0) {
+                self.posture = PostureConfig::Standing;
+            }
+            return;
+        }
         if self.pause > 0.0 {
             self.pause -= seconds;
             return;
@@ -162,9 +175,9 @@ impl Person {
     }
 }
 
-/// The person as an obstacle to others.
-pub(super) fn body(person: &PersonConfig, centre: DVec2) -> Body {
-    let (radius, height) = match person.posture {
+/// A person in a posture as an obstacle to others.
+pub(super) fn body(person: &PersonConfig, posture: PostureConfig, centre: DVec2) -> Body {
+    let (radius, height) = match posture {
         PostureConfig::Standing => (0.0, person.height_m),
         // From the seat to the crown is about half the standing height.
         PostureConfig::Sitting => (KNEES, SEAT + 0.52 * person.height_m),

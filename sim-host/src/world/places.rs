@@ -6,7 +6,7 @@ use super::{
     people,
     room::Room,
     route::Body,
-    scenario::{RobotConfig, Scenario, ScenarioError},
+    scenario::{PostureConfig, RobotConfig, Scenario, ScenarioError},
 };
 
 /// Refuses cameras, robots and people in impossible places or with blocked paths.
@@ -38,9 +38,9 @@ pub(super) fn check(scenario: &Scenario, room: &Room) -> Result<(), ScenarioErro
         let key = format!("people[{index}].waypoints_m");
         let stops: Vec<(String, DVec2)> = stops(&key, &person.waypoints_m).collect();
         let centre = stops.first().map_or(DVec2::ZERO, |(_, stop)| *stop);
-        let body = people::body(person, centre);
+        let body = people::body(person, person.posture, centre);
         check_start(scenario, room, &mut standing, format!("{key}[0]"), body)?;
-        check_ways(scenario, room, &stops, body)?;
+        check_ways(scenario, room, &stops, people::body(person, PostureConfig::Standing, centre))?;
     }
     Ok(())
 }

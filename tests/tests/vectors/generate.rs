@@ -10,9 +10,9 @@ use ubimap_protocol::{
         Ack, Body, Certainty, Digests, DistanceVector, EarlierFix, Event, FixSource, Freshness,
         Hello, Interest, Message, Messages, Obstacle, ObstacleClass, Obstacles, ParameterAction,
         ParameterCommand, ParameterOutcome, ParameterReport, ParameterValue, Path, Peer, Peers,
-        PoseFix, Refusal, RefusalReason, Request, Reset, Severity, State, Stop, Stored, TileDigest,
-        TileUpdateHead, TimeReply, TimeRequest, ToRobot, ToServer, Traffic, Waypoint, Welcome,
-        Writer,
+        PoseFix, Posture, Postures, Refusal, RefusalReason, Request, Reset, Severity, State, Stop,
+        Stored, TileDigest, TileUpdateHead, TimeReply, TimeRequest, ToRobot, ToServer, Traffic,
+        Waypoint, Welcome, Writer,
     },
     tile::{
         Cell, Digest, Epoch, Layer, Replica, Row, Stamp, TILE_CELLS, TILE_SIDE, Tile, TileDecoder,
@@ -522,13 +522,21 @@ fn to_robot(cases: &mut Cases) {
         radius: 250,
     };
     let classes = [ObstacleClass::Person, ObstacleClass::Movable, ObstacleClass::Fixed];
+    let unknown = |class| (thing(class), Posture::Unknown);
     cases.add::<ToRobot>(
         "obstacles small",
-        &Obstacles {
-            time: Instant(61_500_000),
-            obstacles: classes.map(thing).into_iter().collect(),
-        },
+        &Obstacles::with_postures(Instant(61_500_000), classes.map(unknown).into_iter()),
     );
+    let stays = |number, class| Obstacle { number, velocity_x: 0, velocity_y: 0, ..thing(class) };
+    let walks = Obstacle { velocity_x: 1200, ..stays(3, ObstacleClass::Person) };
+    let told = [
+        (stays(1, ObstacleClass::Person), Posture::Sitting),
+        (stays(2, ObstacleClass::Movable), Posture::Unknown),
+        (walks, Posture::Standing),
+    ];
+    let postures = Obstacles::with_postures(Instant(61_500_000), told.into_iter());
+    cases.add::<ToRobot>("obstacles postures", &postures);
+    cases.add_with::<ToRobot>("obstacles with a field that was added later", &postures, &[9, 9]);
     let thing = Obstacle {
         number: u16::MAX,
         class: ObstacleClass::Fixed,
@@ -540,7 +548,16 @@ fn to_robot(cases: &mut Cases) {
     };
     cases.add::<ToRobot>(
         "obstacles extreme",
-        &Obstacles { time: END, obstacles: [thing; 12].into_iter().collect() },
+        &Obstacles {
+            time: END,
+            obstacles: [thing; 12].into_iter().collect(),
+            postures: Postures::default(),
+        },
+    );
+    let lies = Obstacle { class: ObstacleClass::Person, ..thing };
+    cases.add::<ToRobot>(
+        "obstacles postures extreme",
+        &Obstacles::with_postures(END, [(lies, Posture::Lying); 12].into_iter()),
     );
     cases.add::<ToRobot>("path small", &Path { number: 1, waypoints: [].into_iter().collect() });
     let point = Waypoint { x: Millimetres(i32::MIN), y: Millimetres(i32::MAX) };
@@ -1132,7 +1149,7 @@ fn refused_payloads() -> Value {
 }
 
 fn refused_messages() -> Value {
-    let cases: [(&str, Direction, u8, &[u8]); 30] = [
+    let cases: [(&str, Direction, u8, &[u8]); 32] = [
         ("hello cut short", TO_SERVER, 1, &[1, 1, 1, 99, 0xFA, 1, 100]),
         (
             "hello, a nonce of more than 32 bits",
@@ -1197,6 +1214,8 @@ fn refused_messages() -> Value {
             body
         }),
         ("obstacles, a class that there is not", TO_ROBOT, 9, &[0, 1, 1, 3, 0, 0, 0, 0, 0]),
+        ("obstacles, postures cut short", TO_ROBOT, 9, &[0, 0, 0x80]),
+        ("obstacles, 33 bits of postures", TO_ROBOT, 9, &[0, 0, 0x80, 0x80, 0x80, 0x80, 0x10]),
         ("stop, neither true nor false", TO_ROBOT, 11, &[1, 2]),
         ("parameter, an action that there is not", TO_ROBOT, 12, &[1, 3, 0]),
         ("parameter, a number of 17 bits", TO_ROBOT, 12, &[1, 1, 0x80, 0x80, 0x04]),

@@ -157,6 +157,7 @@ fn follow(bench: &mut Bench, window: &mut PlanningWindow) -> Option<()> {
         velocity_y: 1_100,
         radius: 250,
         is_person: true,
+        is_at_rest: false,
     };
     let movers: [Mover; 12] = core::array::from_fn(|index| person(1_000 + 100 * index as i32));
     let mut follower = Follower::new(Motion::default());

@@ -7,8 +7,8 @@ use ubimap_protocol::{
     message::{
         Body, Certainty, Digests, FixSource, Freshness, Hello, Interest, Obstacle, ObstacleClass,
         Obstacles, ParameterAction, ParameterCommand, ParameterValue, Path, Peer, Peers, PoseFix,
-        Request, Reset, Stop, Stored, TileDigest, TileUpdateHead, TimeReply, TimeRequest, ToRobot,
-        ToRobotKind, ToServerMessage, Waypoint,
+        Postures, Request, Reset, Stop, Stored, TileDigest, TileUpdateHead, TimeReply, TimeRequest,
+        ToRobot, ToRobotKind, ToServerMessage, Waypoint,
     },
     tile::{Epoch, Layer, Stamp, TILE_CELLS, Tile, TileEncoder, TileId, Version},
     time::Instant,
@@ -181,7 +181,9 @@ impl Server {
                     let one = Obstacle { number, class, x, y, velocity_x, velocity_y, radius };
                     let _ = obstacles.push(one);
                 }
-                self.send(&Obstacles { time, obstacles }, now)
+                // Twelve persons, who stand, sit, lie, and again.
+                let postures = Postures(0xe7_9e79);
+                self.send(&Obstacles { time, obstacles, postures }, now)
             }
             ToRobotKind::Path => {
                 let mut waypoints = heapless::Vec::new();

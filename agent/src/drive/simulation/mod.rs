@@ -72,6 +72,10 @@ struct Person {
     waits: bool,
     /// Whether the person never moves.
     stands: bool,
+    /// The velocity that cameras measure of the arms of one who never moves, in mm/s, and whether they
+    /// say that this person sits or lies.
+    fidgets: f64,
+    is_at_rest: bool,
 }
 
 impl Person {
@@ -90,8 +94,11 @@ impl Person {
     }
 
     fn velocity(&self) -> (f64, f64) {
-        let speed = if self.waits || self.stands { 0.0 } else { Self::SPEED }
-            * if self.back { -1.0 } else { 1.0 };
+        let speed = match self {
+            Self { stands: true, fidgets, .. } => *fidgets,
+            Self { waits: true, .. } => 0.0,
+            Self { back, .. } => Self::SPEED * if *back { -1.0 } else { 1.0 },
+        };
         (self.direction().0 * speed, self.direction().1 * speed)
     }
 
@@ -145,8 +152,9 @@ struct Simulation {
     map: Vec<Row>,
     driver: Box<Driver<'static>>,
     told: Vec<Reason>,
-    /// Distance driven, in millimetres.
+    /// Distance driven, and minimum distance from a person's centre, in millimetres.
     way: f64,
+    nearest: f64,
 }
 
 fn config() -> Driving {
@@ -183,6 +191,7 @@ impl Simulation {
             driver: driver(),
             told: Vec::new(),
             way: 0.0,
+            nearest: f64::INFINITY,
         };
         it.look();
         it
@@ -293,6 +302,7 @@ impl Simulation {
         for person in &mut self.people {
             person.walk(robot, speed < 200.0);
             let apart = (person.at().0 - robot.0).hypot(person.at().1 - robot.1);
+            self.nearest = self.nearest.min(apart);
             let touches = apart < RADIUS + Person::RADIUS;
             assert!(!touches, "{apart} from a person, at {speed} mm/s, {:?}", self.now);
         }
@@ -318,6 +328,7 @@ impl Simulation {
             velocity_y: person.velocity().1 as i16,
             radius: Person::RADIUS as u16,
             is_person: true,
+            is_at_rest: person.is_at_rest,
         });
         let movers = movers.collect::<Vec<_>>();
         let inputs = Inputs { health, near: &self.near, movers: &movers, cells_refused: 0 };

@@ -142,6 +142,8 @@ fn it_waits_for_people_who_cross_and_never_touches_them() {
                 back: false,
                 waits: false,
                 stands: false,
+                fidgets: 0.0,
+                is_at_rest: false,
             };
             it.people.push(person);
             it.run(0.1 * f64::from(start));
@@ -162,11 +164,39 @@ fn it_passes_a_person_who_stays_in_the_way() {
         it.is_told = is_told;
         let at = (2_000.0, 1_200.0);
         let to = (2_000.0, 0.0);
-        let (back, waits, stands) = (false, false, true);
-        it.people.push(Person { from: at, to, walked: 0.0, back, waits, stands });
+        it.people.push(Person { from: at, to, ..STAYS });
         it.go(3.4, 1.2);
         it.until(Reason::Arrived, 60.0);
     }
+}
+
+/// A person who stays in the way.
+const STAYS: Person = Person {
+    from: (2_000.0, 1_200.0),
+    to: (2_000.0, 0.0),
+    walked: 0.0,
+    back: false,
+    waits: false,
+    stands: true,
+    fidgets: 0.0,
+    is_at_rest: false,
+};
+
+#[test]
+fn it_does_not_wait_for_a_person_who_sits_and_keeps_farther_away() {
+    let run = |fidgets: f64, is_at_rest: bool| {
+        let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
+        it.people.push(Person { fidgets, is_at_rest, ..STAYS });
+        it.go(3.4, 1.2);
+        it.run(30.0);
+        let has_arrived = it.driver.reason() == Reason::Arrived;
+        (has_arrived, it.told.contains(&Reason::Person), it.nearest - RADIUS - Person::RADIUS)
+    };
+    let (still, stands, sits) = (run(0.0, false), run(150.0, false), run(150.0, true));
+    std::println!("arrived, waited, gap in mm: still {still:?}, stands {stands:?}, sits {sits:?}");
+    // One who seems to walk is waited for; by one who sits it passes without waiting.
+    assert!(!stands.0 && stands.1 && still.0);
+    assert!(sits.0 && !sits.1 && sits.2 > still.2 + 100.0);
 }
 
 #[test]
@@ -270,14 +300,14 @@ proptest! {
     fn no_input_makes_it_panic_or_drive_too_fast(
         steps in prop::collection::vec((
             any::<u64>(), any::<(i32, i32, u16)>(), any::<f32>(), any::<(i32, i32, u16)>(),
-            any::<(i16, i16, u16, bool)>(), any::<(u32, u32)>(), 0..6u8, any::<(i32, i32)>(),
+            any::<(i16, i16, u16, [bool; 2])>(), any::<(u32, u32)>(), 0..6u8, any::<(i32, i32)>(),
         ), 1..60),
     ) {
         let mut driver = driver();
         let pose = |(x, y, heading): (i32, i32, u16)| {
             Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle(heading) }
         };
-        for (time, at, unsure, odometry, (vx, vy, radius, is_person), ground, task, goal) in steps {
+        for (time, at, unsure, odometry, (vx, vy, radius, person), ground, task, goal) in steps {
             let goal = Waypoint { x: Millimetres(goal.0), y: Millimetres(goal.1) };
             match task {
                 0 => driver.set_task(Task::Go(goal)),
@@ -311,7 +341,8 @@ proptest! {
                 velocity_x: vx,
                 velocity_y: vy,
                 radius,
-                is_person,
+                is_person: person[0],
+                is_at_rest: person[1],
             };
             let inputs = Inputs { health, near: &near, movers: &[mover], cells_refused: 0 };
             let cells = Row { low: ground.0, high: ground.1 };

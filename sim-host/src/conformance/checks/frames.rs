@@ -86,7 +86,7 @@ pub(super) const CHECKS: &[Check] = &[
     Check {
         name: "added-fields",
         section: "10",
-        rule: "bytes after the fields of a message are ignored",
+        rule: "bytes after the fields of a message are ignored, and added fields may be absent",
         run: added_fields,
     },
     Check {
@@ -296,7 +296,18 @@ fn numbered(talk: &mut Talk<'_>, number: &[u8], rest: &[u8], what: &str) -> Resu
 
 fn added_fields(talk: &mut Talk<'_>) -> Result<(), Halt> {
     talk.open()?;
-    numbered(talk, &[5], &[0xAA, 0xBB, 0xCC], "three bytes after its fields")
+    numbered(talk, &[5], &[0xAA, 0xBB, 0xCC], "three bytes after its fields")?;
+    if talk.role == Role::Server {
+        return Ok(());
+    }
+    // Obstacles of an earlier server, of this one, and of a later one.
+    let person = [[1, 0, 0, 0, 0, 0, 0], [2, 0, 0, 0, 0, 0, 0]].concat();
+    for (time, rest) in [(1, &[][..]), (2, &[0b1110]), (3, &[0b0110, 0xAA, 0xBB])] {
+        let body = [&[time, 2], &person[..], rest].concat();
+        let payload = payload(&[Note { number: 9, body }, talk.question()]);
+        must_read(talk, &format!("Obstacles with {} bytes after the list", rest.len()), payload)?;
+    }
+    Ok(())
 }
 
 fn long_varint(talk: &mut Talk<'_>) -> Result<(), Halt> {

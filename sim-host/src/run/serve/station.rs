@@ -35,6 +35,7 @@ use crate::{
         deployment_file::{DeployedCamera, Playback},
         figures,
         keeper::Keeper,
+        markers,
     },
     server::Command,
 };
@@ -403,6 +404,7 @@ impl Station {
             schema: ServeReport::SCHEMA,
             version: ServeReport::VERSION,
             robots: robots::robots(deployment, links, registered, stopped, now),
+            people: markers::tracked_people(deployment, now),
             ports: self.links.iter().map(summary).collect(),
             cameras,
             delays: match &self.eyes {

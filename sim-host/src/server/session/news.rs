@@ -80,8 +80,9 @@ impl News {
             let list = about.obstacles(robot);
             let most = list.len().min(MAX_OBSTACLES);
             let told = self.obstacles.tell(time, now, most, alone, |counts| {
-                let obstacles = |count: usize| list[..count].iter().copied().collect();
-                writer.push_longest(counts, |count| Obstacles { time, obstacles: obstacles(count) })
+                let obstacles = |count: usize| list[..count].iter().copied();
+                writer
+                    .push_longest(counts, |count| Obstacles::with_postures(time, obstacles(count)))
             });
             self.left_out += told.map_or(0, |told| list.len() - told) as u64;
         }

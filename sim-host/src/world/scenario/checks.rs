@@ -339,8 +339,20 @@ impl Scenario {
         self.number(&format!("{key}.radius_m"), person.radius_m, 0.01..=10.0)?;
         self.number(&format!("{key}.height_m"), person.height_m, 0.01..=self.room.height_m)?;
         self.angle(&format!("{key}.heading_deg"), person.heading_deg)?;
-        if person.posture != PostureConfig::Standing && person.waypoints_m.len() > 1 {
-            return Err(self.invalid(waypoints, "must be a single point unless the person stands"));
+        let stands = person.posture == PostureConfig::Standing;
+        let rises_s = format!("{key}.rises_s");
+        match person.rises_s {
+            Some(_) if stands => {
+                let problem = "is for a person who sits or lies; set posture, or leave it out";
+                return Err(self.invalid(rises_s, problem));
+            }
+            Some(seconds) => self.number(&rises_s, seconds, 0.0..=86_400.0)?,
+            None if !stands && person.waypoints_m.len() > 1 => {
+                let problem =
+                    "must be a single point unless the person stands or rises; add rises_s";
+                return Err(self.invalid(waypoints, problem));
+            }
+            None => {}
         }
         Ok(())
     }

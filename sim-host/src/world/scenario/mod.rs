@@ -298,9 +298,13 @@ pub struct PersonConfig {
     /// Standing height.
     #[serde(default = "defaults::person_height_m")]
     pub height_m: f64,
-    /// Posture; a person who sits or lies stays at the first waypoint.
+    /// Posture at the beginning; a person who sits or lies stays at the first waypoint.
     #[serde(default)]
     pub posture: PostureConfig,
+    /// When a person who sits or lies gets up, in seconds from the start, to walk along the waypoints; never
+    /// without it.
+    #[serde(default)]
+    pub rises_s: Option<f64>,
     /// Heading of a person who sits, and direction of the head of one who lies.
     #[serde(default)]
     pub heading_deg: f64,
@@ -356,6 +360,7 @@ impl PersonConfig {
             radius_m: defaults::person_radius_m(),
             height_m: defaults::person_height_m(),
             posture: PostureConfig::default(),
+            rises_s: None,
             heading_deg: 0.0,
         }
     }

@@ -7,7 +7,7 @@ use ubimap_protocol::units::Pose;
 use super::{super::route::Body, built_in, seconds, small_room, world};
 use crate::{
     camera::{Observation, Source},
-    world::{STEP, ScanEvent, Scenario, World},
+    world::{PostureConfig, STEP, ScanEvent, Scenario, World},
 };
 
 /// All scans and observations until a time, polled at an interval (seconds).
@@ -269,5 +269,36 @@ fn two_robots_that_meet_head_on_resolve_it() {
             );
         }
         assert!(before[0].distance(before[1]) > 0.3);
+    }
+}
+
+#[test]
+fn a_person_who_sits_rises_at_the_time_and_walks() {
+    let mut world = world(
+        &small_room(
+            "[[people]]
+            waypoints_m = [[1.0, 1.5], [3.0, 1.5]]
+            speed_m_s = 1.0
+            posture = \"sitting\"
+            rises_s = 5.0",
+        ),
+        1,
+    );
+    let mut person = |time: f64| {
+        world.advance(seconds(time));
+        let person = &world.people()[0];
+        (person.posture(), person.position_m(), person.height_m())
+    };
+    let sits = (PostureConfig::Sitting, [1.0, 1.5], 1.36);
+    for (time, (posture, [x, y], height)) in [
+        (0.0, sits),
+        (4.9, sits),
+        (5.5, (PostureConfig::Standing, [1.5, 1.5], 1.75)),
+        (6.5, (PostureConfig::Standing, [2.5, 1.5], 1.75)),
+    ] {
+        let found = person(time);
+        assert_eq!(found.0, posture, "at {time} s");
+        assert!((found.1[0] - x).hypot(found.1[1] - y) < 0.05, "{found:?} at {time} s");
+        assert!((found.2 - height).abs() < 0.01, "{found:?} at {time} s");
     }
 }

@@ -96,6 +96,26 @@ const PLACES: &[(&str, &str, &str)] = &[
     ),
 ];
 
+/// Postures of the first person that don't fit.
+const POSTURES: &[(&str, &str, &str)] = &[
+    (
+        "[[people]]",
+        "[[people]]\nposture = \"sitting\"",
+        "people[0].waypoints_m must be a single point unless the person stands or rises",
+    ),
+    (
+        "[[people]]",
+        "[[people]]\nrises_s = 40.0",
+        "people[0].rises_s is for a person who sits or lies",
+    ),
+    (
+        "[[people]]",
+        "[[people]]\nposture = \"lying\"\nrises_s = -1.0",
+        "people[0].rises_s is -1; give a number from 0 to 86400",
+    ),
+    ("[[people]]", "[[people]]\nposture = \"kneeling\"", "unknown variant `kneeling`"),
+];
+
 /// Texts that are not a scenario.
 const WORDS: &[(&str, &str, &str)] = &[
     ("duration_s = 120.0", "duration_s = \"long\"", "line 7: invalid type"),
@@ -106,7 +126,7 @@ const WORDS: &[(&str, &str, &str)] = &[
 
 #[test]
 fn every_mistake_is_one_line_with_file_and_key() {
-    for &(from, to, expected) in [NUMBERS, PLACES, WORDS].into_iter().flatten() {
+    for &(from, to, expected) in [NUMBERS, PLACES, POSTURES, WORDS].into_iter().flatten() {
         let said = complaint(from, to);
         assert!(said.starts_with("hall.toml"), "{said}");
         assert!(said.contains(expected), "for {to}: {said}");
