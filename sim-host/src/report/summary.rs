@@ -9,7 +9,7 @@ use super::{
     cameras::CameraMove,
     comparison::Comparison,
     link::LinkSummary,
-    points::PointsSummary,
+    points::{ExposureSummary, PointsSummary},
     vision::VisionSummary,
 };
 
@@ -52,6 +52,9 @@ pub struct Report {
     /// Errors of the cameras' poses; only if the run has calibrated them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationErrors>,
+    /// The exposure of recorded depths; left out without a rule.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<ExposureSummary>,
     /// The pointset of the robots' scans; only for simulations with range sensors.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub points: Option<PointsSummary>,
@@ -65,7 +68,7 @@ pub struct Report {
     /// What the robots would know without the cameras; only for simulations that ask for it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub baselines: Option<BaselineSummary>,
-    /// How soon the map showed that furniture was moved; left out if none was.
+    /// How soon the map showed changes of the room; left out if there were none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub changes: Vec<ChangeSummary>,
     /// The movements of cameras that were noticed, in order of time; left out if there are none.
@@ -253,6 +256,7 @@ impl Report {
             driving: None,
             sighted: None,
             calibration: None,
+            exposure: None,
             points: None,
             vision: None,
             drawn_on_standing: None,
@@ -393,6 +397,9 @@ impl Report {
         }
         for change in &self.changes {
             write!(f, "{change}")?;
+        }
+        if let Some(exposure) = &self.exposure {
+            write!(f, "{exposure}")?;
         }
         if let Some(points) = &self.points {
             write!(f, "{points}")?;
