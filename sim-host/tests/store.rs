@@ -225,7 +225,7 @@ fn a_killed_server_loses_no_confirmed_tile() {
             let whole = |id| {
                 let seen = layers.values().filter_map(|layer| layer.seen(id));
                 let seen: Vec<_> = seen.map(|seen| (Weight::FULL, seen)).collect();
-                fuse(&SeenTile::NOTHING, &seen, MapTime::default())
+                fuse(&SeenTile::NOTHING, &seen, None, MapTime::default())
             };
             let beside = |east, north| whole(TileId { x: id.x + east, y: id.y + north });
             let beside: [[Tile; 3]; 3] =

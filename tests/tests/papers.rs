@@ -77,6 +77,41 @@ fn aluckals_policies_keep_fewer_and_fewer_redundant_points() {
     let any = points("--policy threshold");
     assert!(any.masked == 0 && threshold.masked > 1_000, "{any} {threshold}");
     assert!(any.overshoot_mm > 1.5 * threshold.overshoot_mm, "{any} {threshold}");
+    // Normalising gets the good ones among the dark pixels back, and none of the wrong ones.
+    let normalised = points("--exposure normalise --policy threshold");
+    assert!(normalised.masked > 0 && normalised.masked < threshold.masked, "{normalised}");
+    assert!(normalised.overshoot_mm < 1.1 * threshold.overshoot_mm, "{normalised} {threshold}");
+}
+
+/// The times after which the old place of the chair was free, and the closet drawn.
+fn found(line: &str) -> [Option<f64>; 2] {
+    let report = report(&format!("awareness --ideal-cameras --seed 2 {line}"));
+    assert_eq!((report.driving.unwrap().collisions, report.map.converged), (0, true));
+    [report.changes[0].freed_s, report.changes[1].drawn_s]
+}
+
+#[test]
+fn what_is_likely_to_move_is_looked_at_again() {
+    let [chair, closet] = found("--duration 260");
+    assert!(chair.unwrap() < 120.0 && closet.unwrap() < 60.0, "{chair:?} {closet:?}");
+    assert_eq!(found("--duration 260 --no-classes"), [None, None]);
+}
+
+#[test]
+fn a_file_of_labels_does_what_the_classes_of_a_scenario_do() {
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let (file, wrong) = (folder.join("labels.toml"), folder.join("wrong-labels.toml"));
+    let chair =
+        "[[labels]]\nclass = \"chair\"\nbox = { centre_m = [0.6, 1.0], size_m = [0.7, 0.7] }\n";
+    std::fs::write(&file, chair).unwrap();
+    std::fs::write(&wrong, chair.replace("chair", "sofa")).unwrap();
+    let [chair, closet] =
+        found(&format!("--duration 240 --no-classes --labels {}", file.display()));
+    assert!(chair.is_some() && closet.is_none(), "{chair:?} {closet:?}");
+    let error = run(&format!("awareness --labels {}", wrong.display())).unwrap_err();
+    assert!(error.is_bad_input());
+    let error = error.to_string();
+    assert!(error.contains("wrong-labels.toml: line 2: unknown variant `sofa`"), "{error}");
 }
 
 #[test]
@@ -103,6 +138,7 @@ fn the_page_has_the_papers_sections_and_all_its_pictures() {
     let page = std::fs::read_to_string(reproduce::run(&options).unwrap()).unwrap();
     for section in ["II.A Data acquisition", "II.B Pre-processing", "III.A", "III.D Future work"] {
         assert!(page.contains(&format!("### {section}")), "{section}");
+        assert!(page.contains(&format!("- [{section}")), "{section} in the contents");
     }
     let pictures: Vec<&str> = page
         .split("](")
@@ -110,6 +146,6 @@ fn the_page_has_the_papers_sections_and_all_its_pictures() {
         .filter_map(|rest| rest.split(')').next())
         .filter(|name| !name.starts_with('#'))
         .collect();
-    assert_eq!(pictures, ["aluckal-points.png"]);
+    assert_eq!(pictures, ["aluckal-points.png", "aluckal-volatility.png"]);
     assert!(pictures.iter().all(|name| out.join(name).is_file()));
 }

@@ -17,6 +17,7 @@ use ubimap_protocol::{
 use ubimap_sim_host::{
     channel::fault::Faults,
     deployment::Config,
+    recording::ExposureRule,
     report::{SeenFloor, WatchReport},
     run::{
         Outcome,
@@ -56,6 +57,8 @@ fn watched_with(folder: &Path, trust_floor: TrustFloor) -> Outcome<WatchReport> 
         obstacles: None,
         unit: DepthUnit::default(),
         resolution: RESOLUTION,
+        exposure: ExposureRule::default(),
+        labels: None,
         results: ResultOptions { out: PathBuf::new(), json: true },
     };
     watch::run(&options).unwrap()

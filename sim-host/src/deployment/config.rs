@@ -9,7 +9,7 @@ use ubimap_protocol::{
 use super::registry::Registry;
 use crate::{
     camera::Calibration,
-    mapping::{CameraTile, CureRecord, TileRecord},
+    mapping::{CameraTile, CureRecord, Label, TileRecord},
     server::coordination::{DrivableFloor, Settings},
 };
 
@@ -34,6 +34,8 @@ pub struct Config {
     pub coordination: Option<Settings>,
     /// The floor to which the coordinator keeps robots; `None` for all of it.
     pub floor: Option<DrivableFloor>,
+    /// Where things of a class stand: how soon what is known of these places is forgotten.
+    pub labels: Vec<Label>,
     /// Whether constant errors of robots are corrected, and robots in blind ground get fixes.
     pub corrects_errors: bool,
     /// Whether [`Deployment::sightings`](super::Deployment::sightings) keeps every sighting of a
@@ -52,6 +54,7 @@ impl Config {
             obstacle_heights: None,
             coordination: None,
             floor: None,
+            labels: Vec::new(),
             corrects_errors: true,
             keeps_sightings: false,
         }

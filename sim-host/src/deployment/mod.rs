@@ -509,6 +509,7 @@ fn server(config: &Config, life: Life) -> Server {
     if let Some(salt) = life.salt {
         server.salt_from(salt);
     }
+    server.expect(&config.labels);
     for (robot, footprint) in config.registry.footprints() {
         server.set_footprint(robot, footprint);
     }

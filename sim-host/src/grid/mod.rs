@@ -6,12 +6,14 @@
 
 mod clusters;
 mod occupancy;
+mod polygon;
 pub(crate) mod raster;
 mod ros_map;
 mod score;
 
 pub(crate) use clusters::clusters;
 pub use occupancy::{CellCounts, GridError, MAX_CELLS, OccupancyGrid};
+pub(crate) use polygon::{is_inside, span};
 pub use raster::RasterError;
 pub use ros_map::{MapError, Thresholds, pgm, read_map, yaml};
 pub use score::{Scores, compare};

@@ -5,7 +5,12 @@ use ubimap_protocol::{
     time::{Duration, Instant},
 };
 
-use super::{agreement::Weight, mask::Mask, robot_layer::SeenTile};
+use super::{
+    agreement::Weight,
+    mask::Mask,
+    prior_layer::{CellLabel, CellPrior, PriorTile},
+    robot_layer::SeenTile,
+};
 
 /// Step of the map's time in seconds.
 const STEP_S: u32 = 10;
@@ -38,6 +43,11 @@ impl MapTime {
         second.saturating_add(STEP_S) >= self.0
     }
 
+    /// Seconds since an earlier step; 0 if it is later.
+    pub(super) fn seconds_since(self, earlier: Self) -> f64 {
+        self.0.saturating_sub(earlier.0).into()
+    }
+
     /// When the next step begins.
     pub fn next(self) -> Instant {
         Instant(0) + Duration::from_secs(u64::from(self.0) + u64::from(STEP_S))
@@ -63,16 +73,28 @@ type Claim = (i64, bool, u8);
 /// | never | movable, at least five minutes ago by the map's time | unknown |
 /// | have seen it, or never | occupied, after three alternations with free | movable |
 ///
+/// A label ([`PriorTile`]) changes this. Where something is likely to move, a claim of anyone is
+/// forgotten at the label's age, counted from the claim or from the last look of a robot. Where
+/// something stays, robots' claims are never forgotten, and no cell is movable because of them. Labels
+/// make no cell movable: robots take one beam across a movable cell as proof that it is free, and
+/// would wear away the leaf of a door.
+///
 /// A robot reports nothing while it agrees with the map, so the newest claim is the valid one.
 /// Cost: a few nanoseconds per cell and robot.
-pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -> Tile {
+pub fn fuse(
+    cameras: &SeenTile,
+    robots: &[(Weight, &SeenTile)],
+    priors: Option<&PriorTile>,
+    time: MapTime,
+) -> Tile {
     let mut fused = Tile::UNKNOWN;
     let mut claims: Vec<Claim> = Vec::new();
     for cell in 0..usize::from(TILE_CELLS) {
         let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
         claims.clear();
+        let prior = priors.map_or(CellPrior::default(), |tile| tile.get(cell));
         let camera = cameras.tile.cell(x, y);
-        if camera != Cell::Unknown {
+        if camera != Cell::Unknown && !is_outdated(prior, cameras.seconds[cell], time) {
             claims.push((
                 i64::from(cameras.seconds[cell]) + i64::from(HOLDS_S),
                 true,
@@ -82,12 +104,14 @@ pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -
         for (weight, robot) in robots {
             let (code, second) = (robot.tile.cell(x, y), robot.seconds[cell]);
             let is_forgotten = match code {
-                Cell::Movable => time.0.saturating_sub(second) >= MOVABLE_S,
+                Cell::Movable if prior.label == CellLabel::None => {
+                    time.0.saturating_sub(second) >= MOVABLE_S
+                }
                 Cell::Free if camera == Cell::Unknown => {
                     second <= cameras.seconds[cell] && cameras.seconds[cell] > 0
                 }
                 _ => false,
-            };
+            } || is_outdated(prior, second, time);
             if code != Cell::Unknown && *weight != Weight::NONE && !is_forgotten {
                 let later = i64::from(weight.short_of_full()) * i64::from(GRADE_S);
                 claims.push((i64::from(second) - later, false, code.code()));
@@ -95,13 +119,24 @@ pub fn fuse(cameras: &SeenTile, robots: &[(Weight, &SeenTile)], time: MapTime) -
         }
         // The order of codes puts free before occupied.
         let Some(&(_, by_cameras, code)) = claims.iter().max() else { continue };
-        let mut code = Cell::from_code(code);
-        if code == Cell::Occupied && !by_cameras && keeps_changing(&mut claims) {
-            code = Cell::Movable;
-        }
+        let code = match (Cell::from_code(code), prior.label) {
+            (Cell::Movable, CellLabel::Never) if !by_cameras => Cell::Occupied,
+            (Cell::Occupied, CellLabel::None | CellLabel::After(_))
+                if !by_cameras && keeps_changing(&mut claims) =>
+            {
+                Cell::Movable
+            }
+            (code, _) => code,
+        };
         fused.set(x, y, code);
     }
     fused
+}
+
+/// Whether a claim of this second about a labelled cell is forgotten.
+fn is_outdated(prior: CellPrior, second: u32, time: MapTime) -> bool {
+    let CellLabel::After(age) = prior.label else { return false };
+    time.0.saturating_sub(second.max(prior.looked)) >= age
 }
 
 /// Whether the claims, ordered by time, alternate between free and occupied at least [`CHANGES`]
@@ -146,14 +181,25 @@ mod tests {
     /// The fused cell at `second`, from the claims of the cameras and of weighted robots, each made
     /// at its own second.
     fn fused(camera: (Cell, u32), robots: &[(Cell, u32, Weight)], second: u64) -> Cell {
+        fused_with(CellPrior::default(), camera, robots, second)
+    }
+
+    fn fused_with(
+        prior: CellPrior,
+        camera: (Cell, u32),
+        robots: &[(Cell, u32, Weight)],
+        second: u64,
+    ) -> Cell {
         let robots: Vec<(Weight, SeenTile)> =
             robots.iter().map(|&(cell, second, weight)| (weight, seen((cell, second)))).collect();
         let mut robots: Vec<(Weight, &SeenTile)> =
             robots.iter().map(|(weight, seen)| (*weight, seen)).collect();
         let time = MapTime::at(Instant(second * 1_000_000));
-        let there = fuse(&seen(camera), &robots, time);
+        let priors = PriorTile::everywhere(prior);
+        let there = fuse(&seen(camera), &robots, Some(&priors), time);
         robots.reverse();
-        assert_eq!(there, fuse(&seen(camera), &robots, time), "the order of the robots matters");
+        let reversed = fuse(&seen(camera), &robots, Some(&priors), time);
+        assert_eq!(there, reversed, "the order of the robots matters");
         let code = there.cell(7, 9);
         assert_eq!(there.counts().0, u32::from(code != Unknown));
         code
@@ -206,7 +252,7 @@ mod tests {
         tile.set(0, 31, Free);
         tile.set(12, 17, Movable);
         let robot = SeenTile { tile, seconds: [5; TILE_CELLS as usize] };
-        let fused = fuse(&SeenTile::NOTHING, &[(Weight::FULL, &robot)], MapTime::default());
+        let fused = fuse(&SeenTile::NOTHING, &[(Weight::FULL, &robot)], None, MapTime::default());
         assert_eq!(fused, tile);
     }
 
@@ -242,6 +288,40 @@ mod tests {
         assert_eq!(fused(never, &[robot(Movable, 10)], 310), Unknown);
         assert_eq!(fused(never, &[robot(Movable, 10), robot(Free, 3)], 310), Free);
         assert_eq!(fused(never, &[robot(Occupied, 10), robot(Unknown, 3)], 100_000), Occupied);
+    }
+
+    #[test]
+    fn what_is_likely_to_move_is_forgotten_unless_a_robot_looks() {
+        let never = (Unknown, 0);
+        let robot = |cell, second| (cell, second, Weight::FULL);
+        let chair = |looked| CellPrior { label: CellLabel::After(60), looked };
+        let at = |looked, camera, robots: &[_], second| {
+            fused_with(chair(looked), camera, robots, second)
+        };
+        assert_eq!(at(0, never, &[robot(Occupied, 11)], 70), Occupied);
+        assert_eq!(at(0, never, &[robot(Occupied, 10)], 70), Unknown);
+        assert_eq!(at(11, never, &[robot(Occupied, 10)], 70), Occupied, "a robot has looked since");
+        assert_eq!(at(0, never, &[robot(Free, 10)], 70), Unknown);
+        assert_eq!(at(0, never, &[robot(Occupied, 10), robot(Free, 11)], 70), Free);
+        // An older claim does not come back when the newer one is forgotten.
+        assert_eq!(at(0, never, &[robot(Occupied, 10), robot(Free, 11)], 80), Unknown);
+        // Cameras confirm what they see with every frame.
+        assert_eq!(at(0, (Occupied, 69), &[], 70), Occupied);
+        assert_eq!(at(0, (Occupied, 9), &[robot(Free, 12)], 70), Free);
+        assert_eq!(at(0, (Free, 9), &[], 70), Unknown);
+    }
+
+    #[test]
+    fn what_stays_is_neither_forgotten_nor_movable() {
+        let cabinet = CellPrior { label: CellLabel::Never, looked: 0 };
+        let robot = |cell, second| (cell, second, Weight::FULL);
+        let changes = [(Free, 3), (Occupied, 13), (Free, 23), (Occupied, 33)]
+            .map(|(cell, second)| robot(cell, second));
+        assert_eq!(fused((Unknown, 0), &changes, 40), Movable);
+        assert_eq!(fused_with(cabinet, (Unknown, 0), &changes, 40), Occupied);
+        let movable = [robot(Movable, 10)];
+        assert_eq!(fused_with(cabinet, (Unknown, 0), &movable, 10_000), Occupied);
+        assert_eq!(fused_with(cabinet, (Movable, 39), &[], 40), Movable, "someone before it");
     }
 
     #[test]

@@ -8,6 +8,12 @@ use crate::{grid::RasterError, rounding::Rounded};
 /// Why a log cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
+    /// A camera's pictures can't tell the exposure of its depths.
+    #[error("{name}: --exposure needs pictures with the pixels of the depth images")]
+    Exposure {
+        /// The camera.
+        name: String,
+    },
     /// The file or folder cannot be read.
     #[error("{path}: {error}", path = path.display())]
     Io {

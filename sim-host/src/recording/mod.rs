@@ -22,6 +22,7 @@ mod camera_pose;
 mod camera_poses;
 mod depth_image;
 mod error;
+mod exposure;
 mod format;
 pub mod frames;
 mod image_times;
@@ -34,6 +35,7 @@ mod time_stamps;
 
 pub use camera_forms::units_per_metre;
 pub use error::{Field, FrameFault, LineFault, LogError};
+pub use exposure::{ExposureCounts, ExposureRule};
 pub use format::Format;
 pub use frames::{FramesError, Reading, RecordedFrames, Recorder};
 pub(crate) use intrinsics::IntrinsicsFile;

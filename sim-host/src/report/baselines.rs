@@ -28,7 +28,8 @@ pub struct BaselineErrors {
     pub matching_m: f64,
 }
 
-/// How soon the map shows that something was moved; only for simulations in which something is.
+/// How soon the map shows a change of the room: furniture that was moved, a door. Only for simulations in
+/// which there is one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ChangeSummary {
     /// The time of the change, in seconds.
@@ -37,8 +38,11 @@ pub struct ChangeSummary {
     pub cells: [u64; 2],
     /// Seconds from the change until half of the new cells were drawn; `None` if never.
     pub drawn_s: Option<f64>,
-    /// Seconds from the change until nine of ten cells at the old place had been removed; `None` if never.
+    /// Seconds from the change until nine of ten cells at the old place had been removed: were free or
+    /// unknown; `None` if never.
     pub removed_s: Option<f64>,
+    /// Seconds from the change until half of the cells at the old place were free; `None` if never.
+    pub freed_s: Option<f64>,
 }
 
 impl fmt::Display for BaselineSummary {
@@ -65,12 +69,14 @@ impl fmt::Display for ChangeSummary {
             |time: Option<f64>| time.map_or("never".into(), |it| format!("after {it:.1} s"));
         writeln!(
             f,
-            "change at {:.0} s: half of {} new cells drawn {}, nine of ten of {} old ones removed {}",
+            "change at {:.0} s: half of {} new cells drawn {}, nine of ten of {} old ones removed {}, half \
+             of them free {}",
             self.at_s,
             self.cells[0],
             after(self.drawn_s),
             self.cells[1],
-            after(self.removed_s)
+            after(self.removed_s),
+            after(self.freed_s)
         )
     }
 }

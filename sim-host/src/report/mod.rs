@@ -39,10 +39,10 @@ pub use output_file::OutputFile;
 pub use people::{RisingSummary, TrackedPerson, posture_name};
 pub use picture::{
     Against, Caption, Marker, MarkerKind, Moment, png, render, render_coverage, render_error,
-    render_frames, render_overlap,
+    render_frames, render_overlap, render_volatility,
 };
 pub use placing::{FloorSummary, PlaceReport, PlacedCamera, PlacementSummary};
-pub use points::PointsSummary;
+pub use points::{ExposureSummary, PointsSummary};
 pub use served_robot::ServedRobot;
 pub use serving::{
     EventSummary, FrameDelays, PortSummary, ServeReport, ServedCamera, StateSummary,

@@ -38,11 +38,12 @@ fn told(error: &io::Error) -> String {
 }
 
 /// Results that only some commands write.
-const OPTIONAL: [&str; 8] = [
+const OPTIONAL: [&str; 9] = [
     "coverage.png",
     "error.png",
     "plan.png",
     "timelapse.png",
+    "volatility.png",
     "robot-view.png",
     "points.png",
     "network.svg",

@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::Serialize;
 
+use crate::recording::ExposureCounts;
+
 /// The pointset of all robots; only for simulations whose robots draw by range sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PointsSummary {
@@ -24,6 +26,27 @@ pub struct PointsSummary {
     pub overshoot_mm: f64,
     /// Readings left out because of the exposure of their pixels.
     pub masked: u64,
+}
+
+/// The exposure of the pixels with a depth; only for recordings, if a rule was asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ExposureSummary {
+    /// Pixels with a depth.
+    pub valid: u64,
+    /// Of these, those left out because the picture is over- or underexposed there.
+    pub masked: u64,
+}
+
+impl From<ExposureCounts> for ExposureSummary {
+    fn from(ExposureCounts { valid, masked }: ExposureCounts) -> Self {
+        Self { valid, masked }
+    }
+}
+
+impl fmt::Display for ExposureSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "exposure: {} of {} depths left out", self.masked, self.valid)
+    }
 }
 
 impl fmt::Display for PointsSummary {

@@ -10,7 +10,7 @@ use super::{
     comparison::Comparison,
     link::LinkSummary,
     people::{RisingSummary, TrackedPerson},
-    points::PointsSummary,
+    points::{ExposureSummary, PointsSummary},
     vision::VisionSummary,
 };
 
@@ -53,6 +53,9 @@ pub struct Report {
     /// Errors of the cameras' poses; only if the run has calibrated them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationErrors>,
+    /// The exposure of recorded depths; left out without a rule.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<ExposureSummary>,
     /// The pointset of the robots' scans; only for simulations with range sensors.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub points: Option<PointsSummary>,
@@ -66,7 +69,7 @@ pub struct Report {
     /// What the robots would know without the cameras; only for simulations that ask for it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub baselines: Option<BaselineSummary>,
-    /// How soon the map showed that furniture was moved; left out if none was.
+    /// How soon the map showed changes of the room; left out if there were none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub changes: Vec<ChangeSummary>,
     /// How soon people who had sat or lain there from the beginning were found when they rose; left out
@@ -261,6 +264,7 @@ impl Report {
             driving: None,
             sighted: None,
             calibration: None,
+            exposure: None,
             points: None,
             vision: None,
             drawn_on_standing: None,
@@ -409,6 +413,9 @@ impl Report {
         }
         for person in &self.people {
             writeln!(f, "at the end: {person}")?;
+        }
+        if let Some(exposure) = &self.exposure {
+            write!(f, "{exposure}")?;
         }
         if let Some(points) = &self.points {
             write!(f, "{points}")?;

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::{cameras::CameraMove, summary::HexDigest};
+use super::{cameras::CameraMove, points::ExposureSummary, summary::HexDigest};
 use crate::grid::OccupancyGrid;
 
 /// Results of watching a recording. Times are in seconds of the recording's clock.
@@ -28,6 +28,9 @@ pub struct WatchReport {
     pub events: Vec<PassedEvent>,
     /// The movements of cameras that were noticed, in order of time.
     pub camera_moves: Vec<CameraMove>,
+    /// The exposure of the depths; left out without a rule.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<ExposureSummary>,
     /// The map at the end.
     pub map: SeenMap,
     /// Duration of the recording in seconds.
@@ -162,6 +165,7 @@ impl Default for WatchReport {
             things: Vec::new(),
             events: Vec::new(),
             camera_moves: Vec::new(),
+            exposure: None,
             map: SeenMap::default(),
             recorded_s: 0.0,
             elapsed_s: 0.0,
@@ -204,6 +208,9 @@ impl fmt::Display for WatchReport {
         }
         for moved in &self.camera_moves {
             writeln!(f, "{moved}")?;
+        }
+        if let Some(exposure) = &self.exposure {
+            write!(f, "{exposure}")?;
         }
         let map = &self.map;
         writeln!(

@@ -21,6 +21,7 @@ use crate::{
     deployment::registry::{RegisteredRobot, Registry},
     files,
     grid::{self, OccupancyGrid},
+    mapping::{Label, read_labels},
     recording::{IntrinsicsFile, Reading, RecordedFrames},
     server::coordination::{Area, DrivableFloor},
 };
@@ -41,6 +42,8 @@ pub struct DeploymentFile {
     pub plan: Option<OccupancyGrid>,
     /// The floor that robots may use: an area, if one is stated, without the walls of the plan.
     pub floor: Option<DrivableFloor>,
+    /// Where things of a class stand.
+    pub labels: Vec<Label>,
     /// The file that the map is stored in.
     pub store: Option<PathBuf>,
     /// The folder for the map and the pictures.
@@ -115,6 +118,7 @@ struct Keys {
     obstacles_m: Option<[f64; 2]>,
     plan: Option<PathBuf>,
     floor: Option<StatedArea>,
+    labels: Option<PathBuf>,
     store: Option<PathBuf>,
     #[serde(default = "usual_out")]
     out: PathBuf,
@@ -258,6 +262,10 @@ impl DeploymentFile {
             .then(|| DrivableFloor::new(resolution, area.as_ref(), plan.as_ref()))
             .transpose()
             .map_err(|error| format!("floor: {error}"))?;
+        let labels = keys.labels.map(|path| {
+            let path = beside.join(path);
+            read_labels(&path).map_err(|reason| format!("labels: {}: {reason}", path.display()))
+        });
         let interval = options::seconds(&keys.every_s.to_string())
             .map_err(|error| format!("every_s: {error}"))?;
         Ok(Self {
@@ -266,6 +274,7 @@ impl DeploymentFile {
             plan,
             floor,
             interval,
+            labels: labels.transpose()?.unwrap_or_default(),
             obstacles: keys.obstacles_m.map(heights).transpose()?,
             store: keys.store.map(|store| beside.join(store)),
             out: beside.join(keys.out),

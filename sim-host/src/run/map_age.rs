@@ -31,10 +31,11 @@ struct Change {
     old: Vec<(i32, i32)>,
     drawn: Option<Duration>,
     removed: Option<Duration>,
+    freed: Option<Duration>,
 }
 
 impl MapAge {
-    /// The moves of furniture in a scenario: found by letting its room pass alone.
+    /// The changes of a scenario's room, of furniture and doors: found by letting it pass alone.
     ///
     /// # Errors
     /// [`RunError::Scenario`].
@@ -46,7 +47,8 @@ impl MapAge {
         let mut empty = scenario.clone();
         empty.people.clear();
         let moves = scenario.furniture.iter().flat_map(|furniture| &furniture.moved);
-        let mut times: Vec<f64> = moves.map(|it| it.at_s).collect();
+        let doors = scenario.doors.iter().flat_map(|door| door.open_s.iter().flatten().copied());
+        let mut times: Vec<f64> = moves.map(|it| it.at_s).chain(doors).collect();
         times.sort_by(f64::total_cmp);
         times.dedup();
         let mut changes = Vec::new();
@@ -62,7 +64,7 @@ impl MapAge {
                 let after = surfaces(&world);
                 let new = after.difference(&before).copied().collect();
                 let old = before.difference(&after).copied().collect();
-                changes.push(Change { at, new, old, drawn: None, removed: None });
+                changes.push(Change { at, new, old, drawn: None, removed: None, freed: None });
             }
         }
         Ok(Self { changes: RefCell::new(changes), next: std::cell::Cell::new(Instant(0)) })
@@ -78,12 +80,17 @@ impl MapAge {
         let fused = fleet.server().fused();
         for change in self.changes.borrow_mut().iter_mut().filter(|change| change.at <= now) {
             let since = now.since(change.at);
-            let [drawn, left] = [&change.new, &change.old].map(|cells| occupied(fused, cells));
+            let drawn = occupied(fused, &change.new);
+            let left = occupied(fused, &change.old);
+            let free = count(fused, &change.old, |cell| cell == Cell::Free);
             if change.drawn.is_none() && 2 * drawn >= change.new.len() {
                 change.drawn = Some(since);
             }
             if change.removed.is_none() && 10 * left <= change.old.len() {
                 change.removed = Some(since);
+            }
+            if change.freed.is_none() && 2 * free >= change.old.len() {
+                change.freed = Some(since);
             }
         }
     }
@@ -95,6 +102,7 @@ impl MapAge {
             cells: [change.new.len() as u64, change.old.len() as u64],
             drawn_s: change.drawn.map(seconds),
             removed_s: change.removed.map(seconds),
+            freed_s: change.freed.map(seconds),
         };
         self.changes.borrow().iter().map(summary).collect()
     }
@@ -102,12 +110,15 @@ impl MapAge {
 
 /// Number of the cells that are occupied, fixed or movable.
 pub(super) fn occupied(fused: &ServedLayer, cells: &[(i32, i32)]) -> usize {
+    count(fused, cells, |cell| matches!(cell, Cell::Occupied | Cell::Movable))
+}
+
+/// How many cells are of a kind in the fused map.
+fn count(fused: &ServedLayer, cells: &[(i32, i32)], is_kind: impl Fn(Cell) -> bool) -> usize {
     let within = |cell: i32| cell.rem_euclid(TILE_SIDE as i32) as usize;
-    let is_occupied = |&&(x, y): &&(i32, i32)| {
+    let is_there = |&&(x, y): &&(i32, i32)| {
         let tile = TileId::of_cell(x, y).and_then(|id| fused.get(id));
-        tile.is_some_and(|(_, tile)| {
-            matches!(tile.cell(within(x), within(y)), Cell::Occupied | Cell::Movable)
-        })
+        tile.is_some_and(|(_, tile)| is_kind(tile.cell(within(x), within(y))))
     };
-    cells.iter().filter(is_occupied).count()
+    cells.iter().filter(is_there).count()
 }

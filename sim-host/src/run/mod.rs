@@ -50,6 +50,7 @@ mod stage;
 pub mod terminal;
 mod time_lapse;
 mod vision;
+mod volatility;
 pub mod watch;
 
 use std::path::PathBuf;
@@ -119,6 +120,14 @@ pub enum RunError {
     /// A file of robots can't be used.
     #[error("{path}: {reason}", path = path.display())]
     Robots {
+        /// The file.
+        path: PathBuf,
+        /// The reason, in one line.
+        reason: String,
+    },
+    /// A file of labels can't be used.
+    #[error("{path}: {reason}", path = path.display())]
+    Labels {
         /// The file.
         path: PathBuf,
         /// The reason, in one line.
@@ -283,6 +292,7 @@ impl RunError {
             Self::Log(_)
             | Self::Frames(_)
             | Self::Robots { .. }
+            | Self::Labels { .. }
             | Self::Deployment { .. }
             | Self::Control { .. }
             | Self::Map(_)

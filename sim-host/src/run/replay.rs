@@ -19,13 +19,14 @@ use super::{
     markers,
     options::ReplayOptions,
     progress::Progress,
+    volatility,
 };
 use crate::{
     camera::{Observation, Sighting},
     deployment::{self, Deployment},
     grid::OccupancyGrid,
     recording::{self, Log, LoggedScan},
-    report::Caption,
+    report::{self, Caption, ExposureSummary},
 };
 
 /// Time between the robots' boot and the first scan, in which they connect to the server.
@@ -65,6 +66,7 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     // The poses of a log are interpolated between scans: no course shows an error.
     let deployment = deployment::Config {
         corrects_errors: false,
+        labels: volatility::labels(options.run.labels.as_deref())?,
         ..deployment::Config::new(options.resolution)
     };
     let deployment = Deployment::new(deployment, life)?;
@@ -88,6 +90,7 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
             "nothing was mapped: none of {scans} scans met a pose in time; lower --latency and --loss"
         );
     }
+    report.exposure = log.exposure.map(ExposureSummary::from);
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     let names = options.logs.iter().filter_map(|log| log.file_name()?.to_str());
@@ -97,7 +100,10 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
         time_s: Some(report.simulated_s),
     };
     let markers = markers::robots(&fleet);
-    Ok(Outcome { report, map, markers, caption, pictures: Vec::new(), tables: Vec::new() })
+    let intervals = volatility::intervals(fleet.deployment(), &map, fleet.now());
+    let picture = report::render_volatility(&map, &intervals, &caption);
+    let pictures = vec![("volatility.png", picture)];
+    Ok(Outcome { report, map, markers, caption, pictures, tables: Vec::new() })
 }
 
 fn config(robot: RobotId, bounds: Bounds, log: &Log, options: &ReplayOptions) -> Config {
@@ -230,6 +236,7 @@ mod tests {
             format: Format::Carmen,
             sensor: Sensor::Radial { first_rad: 0.0, step_rad: 0.1, beams: 3 },
             scans: (0..scans).map(scan).collect(),
+            exposure: None,
             warnings: Vec::new(),
             notes: Vec::new(),
         }

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use ubimap_agent::{drive::DriveCommand, sense::Exposure};
+use ubimap_agent::drive::DriveCommand;
 use ubimap_protocol::{
     time::{Duration, Instant},
     units::Pose,
@@ -19,7 +19,8 @@ use super::{
 };
 use crate::{
     camera::{FrameSource, Source},
-    world::{STEP, ScanEvent, World},
+    recording::ExposureRule,
+    world::{STEP, World},
 };
 
 /// Odometry is read at 20 Hz.
@@ -50,7 +51,7 @@ pub struct RoomStage {
     vision: Option<Vision>,
     onboard: Option<Onboard>,
     points: Option<Pointset>,
-    exposure: Exposure,
+    exposure: ExposureRule,
 }
 
 impl RoomStage {
@@ -71,7 +72,7 @@ impl RoomStage {
             vision: None,
             onboard: None,
             points: None,
-            exposure: Exposure::ANY,
+            exposure: ExposureRule::Any,
         }
     }
 
@@ -91,7 +92,7 @@ impl RoomStage {
     }
 
     /// Leaves out badly exposed readings, and collects the points of all scans from now on.
-    pub(super) fn keep_points(&mut self, points: Pointset, exposure: Exposure) {
+    pub(super) fn keep_points(&mut self, points: Pointset, exposure: ExposureRule) {
         (self.points, self.exposure) = (Some(points), exposure);
     }
 
@@ -199,12 +200,8 @@ impl Stage for RoomStage {
         self.read_wheels(now);
         while let Some(mut scan) = self.world.poll_scan(now) {
             // A robot masks its readings before it looks at them.
-            let valid = |scan: &ScanEvent| scan.readings_mm.iter().filter(|it| **it > 0).count();
-            let before = valid(&scan);
-            if self.exposure.mask(&mut scan.readings_mm, &scan.light).is_ok() {
-                let masked = (before - valid(&scan)) as u64;
-                self.points.iter_mut().for_each(|points| points.masked(masked));
-            }
+            let counts = self.exposure.apply(&mut scan.readings_mm, &scan.light);
+            self.points.iter_mut().for_each(|points| points.masked(counts.masked));
             if let Some(onboard) = &mut self.onboard {
                 onboard.note(&scan, &self.world);
             }

@@ -36,6 +36,7 @@ use super::{
     scoring,
     time_lapse::{self, TimeLapse},
     vision::{Calibrated, Vision},
+    volatility,
 };
 use crate::{
     camera::{Calibration, FrameSource},
@@ -83,6 +84,10 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
     let mut config = deployed(options, &scenario, &world);
+    config.labels = volatility::labels(options.run.labels.as_deref())?;
+    if !options.no_classes {
+        config.labels.extend(scenario.labels()?);
+    }
     if let Some(cameras) = cameras {
         config.cameras = cameras;
     }
@@ -127,7 +132,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         stage.keep_onboard();
     }
     if let Some(points) = points {
-        stage.keep_points(points, options.exposure.limits());
+        stage.keep_points(points, options.exposure);
     }
     if let Some(path) = &options.log {
         stage.keep_log(ScanLog::create(path, stage.world().robots())?);
@@ -169,6 +174,8 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
     let mut pictures = seen.pictures(&map, stage.world(), &time_lapse)?;
+    let intervals = volatility::intervals(fleet.deployment(), &map, fleet.now());
+    pictures.push(("volatility.png", report::render_volatility(&map, &intervals, &seen.caption)));
     pictures.extend(stage.vision().and_then(Vision::picture).map(|it| ("robot-view.png", it)));
     if let Some(points) = stage.points() {
         pictures.push(("points.png", points.picture(stage.world(), RESOLUTION.metres())));

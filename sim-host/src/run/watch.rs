@@ -13,18 +13,18 @@ use ubimap_protocol::{
 
 use super::{
     Outcome, RunError, figures, floors, interruption, markers, options::WatchOptions,
-    progress::Progress, robots_file, terminal,
+    progress::Progress, robots_file, terminal, volatility,
 };
 use crate::{
-    camera::{CamerasFile, FrameSource, MountedCamera, Sighting},
+    camera::{Calibration, CamerasFile, Frame, FrameSource, MountedCamera, Picture, Sighting},
     deployment::{CameraStatus, Config, Deployment, Life, registry::Registry},
     files,
     grid::OccupancyGrid,
     mapping::ServedLayer,
-    recording::{LogError, Reading, RecordedFrames},
+    recording::{ExposureCounts, ExposureRule, LogError, Reading, RecordedFrames},
     report::{
-        self, CameraSummary, Caption, HexDigest, Marker, MarkerKind, PassedEvent, SeenFloor,
-        SeenMap, SeenRobot, SeenThing, WatchReport, posture_name,
+        self, CameraSummary, Caption, ExposureSummary, HexDigest, Marker, MarkerKind, PassedEvent,
+        SeenFloor, SeenMap, SeenRobot, SeenThing, WatchReport, posture_name,
     },
     server::Server,
 };
@@ -50,11 +50,14 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
         registry: registry.clone(),
         keeps_sightings: true,
         obstacle_heights: options.obstacles,
+        labels: volatility::labels(options.labels.as_deref())?,
         ..Config::new(options.resolution)
     };
     let mut deployment = Deployment::new(config, Life::default())?;
     let progress = Progress::new(frames.end());
-    let end = play(&mut deployment, &mut frames, |now| progress.at(now));
+    let mut exposed = Exposed::new(&mut frames, options.exposure)?;
+    let end = play(&mut deployment, &mut exposed, |now| progress.at(now));
+    let exposure = exposed.counts();
     drop(progress);
     if let Some(fault) = frames.take_fault() {
         return Err(fault.into());
@@ -69,6 +72,7 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
         things: markers::followed(&deployment, end).into_iter().map(thing).collect(),
         events: events(server, &frames),
         camera_moves: figures::camera_moves(&deployment),
+        exposure,
         map: seen.map(&map, &coverage),
         recorded_s: end.since(Instant(0)).micros() as f64 / 1e6,
         elapsed_s: started.elapsed().as_secs_f64(),
@@ -84,14 +88,68 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
     // Without robots and people, which would hide the coverage of the floor below them.
     let cameras = markers::cameras(deployment.calibrations());
     let picture = report::render_coverage(&map, &coverage, &cameras, &caption);
+    let intervals = volatility::intervals(&deployment, &map, end);
+    let changes = report::render_volatility(&map, &intervals, &caption);
     Ok(Outcome {
         report,
         markers,
         caption,
-        pictures: vec![("coverage.png", picture)],
+        pictures: vec![("coverage.png", picture), ("volatility.png", changes)],
         tables: vec![("robots.csv", seen.poses_csv())],
         map,
     })
+}
+
+/// Recorded frames whose depths are left out where the picture is badly exposed.
+struct Exposed<'f> {
+    frames: &'f mut RecordedFrames,
+    rule: ExposureRule,
+    counts: ExposureCounts,
+}
+
+impl<'f> Exposed<'f> {
+    /// # Errors
+    /// [`LogError::Exposure`] if a camera's pictures do not have the pixels of its depth images.
+    fn new(frames: &'f mut RecordedFrames, rule: ExposureRule) -> Result<Self, RunError> {
+        let is_apart =
+            |camera: &Calibration| camera.depth.is_some() && camera.depth != camera.picture;
+        if rule != ExposureRule::Any
+            && let Some(camera) = frames.cameras().iter().position(is_apart)
+        {
+            let name = frames.names().get(camera).cloned().unwrap_or_default();
+            return Err(LogError::Exposure { name }.into());
+        }
+        Ok(Self { frames, rule, counts: ExposureCounts::default() })
+    }
+
+    /// The pixels looked at so far, if there is a rule.
+    fn counts(&self) -> Option<ExposureSummary> {
+        (self.rule != ExposureRule::Any).then(|| self.counts.into())
+    }
+}
+
+impl FrameSource for Exposed<'_> {
+    fn cameras(&self) -> &[Calibration] {
+        self.frames.cameras()
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Frame> {
+        let mut frame = self.frames.poll(now)?;
+        if let (Some(depth), Some(picture)) = (&mut frame.depth, &frame.picture) {
+            self.counts += match picture {
+                Picture::Grey(grey) => self.rule.apply(depth, grey),
+                Picture::Colour(colour) => {
+                    let grey = image::imageops::grayscale(colour);
+                    self.rule.apply(depth, &grey)
+                }
+            };
+        }
+        Some(frame)
+    }
+
+    fn next_arrival(&self) -> Option<Instant> {
+        self.frames.next_arrival()
+    }
 }
 
 /// The frames of cameras at the poses of a file.

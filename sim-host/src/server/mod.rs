@@ -62,7 +62,7 @@ use self::{
 };
 use crate::{
     camera::{Observation, Sighting},
-    mapping::{CoverageLayer, Limit},
+    mapping::{CoverageLayer, Label, Limit, PriorLayer},
     perception::robots::SightingEvent,
 };
 
@@ -130,6 +130,12 @@ impl Server {
     /// of the server may use a salt twice. The default is derived from the server's epoch.
     pub fn salt_from(&mut self, next: u64) {
         self.ports.salt_from(next);
+    }
+
+    /// Sets where things of a class stand, which weighs how soon claims are forgotten. Call it before
+    /// anything is restored or observed.
+    pub fn expect(&mut self, labels: &[Label]) {
+        self.map.expect(PriorLayer::new(labels, self.terms.resolution));
     }
 
     /// Gives a robot a key, with which it can open sessions on keyed ports. If it had another one,

@@ -17,7 +17,9 @@ use super::{
     session::Session,
 };
 use crate::{
-    mapping::{ConstantErrors, MapTime, Mask, RobotLayer, ServedLayer, Weight},
+    mapping::{
+        ConstantErrors, MapTime, Mask, PriorLayer, RobotLayer, ServedLayer, Volatility, Weight,
+    },
     perception::{Footprint, robots::SightingEvent},
 };
 
@@ -46,6 +48,16 @@ impl Server {
     /// The time by which the map ages.
     pub fn map_time(&self) -> MapTime {
         self.map.time()
+    }
+
+    /// What is known beforehand of the cells.
+    pub fn priors(&self) -> &PriorLayer {
+        self.map.priors()
+    }
+
+    /// How often the cells of the fused layer have changed since the server started.
+    pub fn volatility(&self) -> &Volatility {
+        self.map.volatility()
     }
 
     /// The weight of a robot's claims.

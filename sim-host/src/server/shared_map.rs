@@ -3,16 +3,17 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::{
+    message::DistanceVector,
     tile::{Epoch, Tile, TileId},
     time::Instant,
-    units::RobotId,
+    units::{Millimetres, RobotId},
 };
 
 use crate::{
     camera::Observation,
     mapping::{
-        Agreements, CameraLayer, CameraTile, MapTime, Mask, RobotLayer, SeenTile, ServedLayer,
-        Sight, TileRecord, Updated, Weight, clear, fuse, hollow,
+        Agreements, CameraLayer, CameraTile, MapTime, Mask, PriorLayer, RobotLayer, SeenTile,
+        ServedLayer, Sight, TileRecord, Updated, Volatility, Weight, clear, fuse, hollow,
     },
     timing::ROBOT_GONE,
 };
@@ -33,10 +34,12 @@ pub(super) struct SharedMap {
     /// Tiles with robots' observations that have changed since the weights were computed.
     unweighed: BTreeSet<TileId>,
     time: MapTime,
+    priors: PriorLayer,
+    volatility: Volatility,
     /// Each fused tile before [`hollow`] and [`clear`], and its cells that cameras have seen.
     whole: BTreeMap<TileId, (Tile, Sight)>,
     fused: ServedLayer,
-    /// Tiles with movable cells, which expire.
+    /// Tiles with movable or labelled cells, which expire.
     ageing: BTreeSet<TileId>,
     /// Tiles with cells that cameras have seen recently, which expire.
     in_sight: BTreeSet<TileId>,
@@ -53,6 +56,25 @@ impl SharedMap {
 
     pub(super) fn time(&self) -> MapTime {
         self.time
+    }
+
+    /// Sets what is known beforehand of the cells. Call it before anything is restored or observed.
+    pub(super) fn expect(&mut self, priors: PriorLayer) {
+        self.priors = priors;
+    }
+
+    pub(super) fn priors(&self) -> &PriorLayer {
+        &self.priors
+    }
+
+    pub(super) fn volatility(&self) -> &Volatility {
+        &self.volatility
+    }
+
+    /// Notes where a robot has looked, and thereby confirmed what is likely to move.
+    pub(super) fn look_along(&mut self, vector: &DistanceVector, side: Millimetres) {
+        let seen = self.priors.look(vector, side);
+        self.ageing.extend(seen.into_iter().filter(|id| self.whole.contains_key(id)));
     }
 
     /// A robot's layer.
@@ -131,7 +153,7 @@ impl SharedMap {
         let others: Vec<(Weight, &SeenTile)> = others
             .filter_map(|(&other, layer)| Some((self.weight(other), layer.seen(id)?)))
             .collect();
-        fuse(cameras, &others, self.time)
+        fuse(cameras, &others, self.priors.get(id), self.time)
     }
 
     /// What the cameras know of a tile, with robots as movable cells.
@@ -218,7 +240,7 @@ impl SharedMap {
         let cameras = self.cameras.seen(id);
         let tile = self.fused_with(&cameras, None, id);
         let has_movable = (0..).zip(tile.high).any(|(y, high)| high & tile.low[y] != 0);
-        set_member(&mut self.ageing, id, has_movable);
+        set_member(&mut self.ageing, id, has_movable || self.priors.get(id).is_some());
         self.look(id, tile, &cameras);
     }
 
@@ -244,6 +266,7 @@ impl SharedMap {
         });
         let hides = clear(&mut tile, &self.under(id));
         set_member(&mut self.hiding, id, hides);
+        self.volatility.note(id, &tile, self.time);
         self.fused.set(id, tile);
     }
 

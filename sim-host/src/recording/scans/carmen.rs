@@ -146,6 +146,7 @@ impl Content {
             format: Format::Carmen,
             sensor: sensor(beams),
             scans: scans.collect(),
+            exposure: None,
             warnings,
             notes,
         })

@@ -50,6 +50,9 @@ fn append(joined: &mut Log, log: Log) {
     if odometry_shift.is_some() {
         joined.notes.push("the odometry of each log continues that of the previous log".to_owned());
     }
+    if let Some(more) = log.exposure {
+        *joined.exposure.get_or_insert_default() += more;
+    }
     joined.scans.extend(log.scans.into_iter().map(|mut scan| {
         scan.time = start + scan.time;
         scan.odometry = scan.odometry.map(|pose| match odometry_shift {
@@ -79,7 +82,14 @@ mod tests {
 
     fn log(step_rad: f64, scans: Vec<LoggedScan>) -> Log {
         let sensor = Sensor::Radial { first_rad: 0.0, step_rad, beams: 2 };
-        Log { format: Format::Mines, sensor, scans, warnings: Vec::new(), notes: Vec::new() }
+        Log {
+            format: Format::Mines,
+            sensor,
+            scans,
+            exposure: None,
+            warnings: Vec::new(),
+            notes: Vec::new(),
+        }
     }
 
     #[test]

@@ -78,7 +78,14 @@ pub(super) fn read(path: &Path) -> Result<Log, LogError> {
         step_rad: SPREAD_RAD / (BEAMS - 1) as f64,
         beams: BEAMS,
     };
-    Ok(Log { format: Format::Mines, sensor, scans: scans.collect(), warnings: Vec::new(), notes })
+    Ok(Log {
+        format: Format::Mines,
+        sensor,
+        scans: scans.collect(),
+        exposure: None,
+        warnings: Vec::new(),
+        notes,
+    })
 }
 
 /// One line of the log.

@@ -29,10 +29,11 @@ use crate::recording::{
     camera_pose::CameraPose,
     camera_poses::{at_times, read_poses},
     error::{LineFault, LogError},
+    exposure::{ExposureCounts, ExposureRule},
     format::Format,
     image_times::image_times,
     intrinsics::{self, IntrinsicsFile},
-    numbered_files::depth_images,
+    numbered_files::{PICTURE_KINDS, depth_images, files_in, number_in},
     time_stamps,
 };
 
@@ -91,16 +92,31 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
              slices, as --slice height gives"
         ));
     }
-    let slices: Result<Vec<_>, _> = images
-        .iter()
-        .zip(planar.stances(&poses))
-        .map(|(image, stance)| slicing.slice(image, &intrinsics, &stance))
+    let pictures = match slicing.exposure {
+        ExposureRule::Any => vec![None; images.len()],
+        _ => pictures(folder, &images)?.into_iter().map(Some).collect(),
+    };
+    let mut exposure = ExposureCounts::default();
+    let files = images.iter().zip(&pictures).zip(planar.stances(&poses));
+    let slices: Result<Vec<_>, _> = files
+        .map(|((image, picture), stance)| {
+            let slice = slicing.slice((image, picture.as_deref()), &intrinsics, &stance);
+            slice.map(|(readings, counts)| {
+                exposure += counts;
+                readings
+            })
+        })
         .collect();
+    let slices = slices?;
+    if slicing.exposure != ExposureRule::Any {
+        let ExposureCounts { valid, masked } = exposure;
+        notes.push(format!("exposure: {masked} of {valid} depths are left out"));
+    }
 
     let stamps: Option<Vec<f64>> = poses.iter().map(|pose| pose.stamp_s).collect();
     let (times, warning) = time_stamps::repair(stamps.as_deref(), poses.len());
     warnings.extend(warning);
-    let scans = slices?.into_iter().zip(times).zip(planar_poses).enumerate().map(
+    let scans = slices.into_iter().zip(times).zip(planar_poses).enumerate().map(
         |(index, ((readings_mm, time), pose))| LoggedScan {
             time,
             readings_mm,
@@ -110,7 +126,21 @@ pub(super) fn read(folder: &Path, slicing: Slicing) -> Result<Log, LogError> {
         },
     );
     let sensor = slicing.sensor(&intrinsics);
-    Ok(Log { format: Format::Rgbd, sensor, scans: scans.collect(), warnings, notes })
+    let exposure = (slicing.exposure != ExposureRule::Any).then_some(exposure);
+    Ok(Log { format: Format::Rgbd, sensor, scans: scans.collect(), exposure, warnings, notes })
+}
+
+/// The pictures that belong to depth images, by the numbers in their names.
+fn pictures(folder: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>, LogError> {
+    let place = ["color", "rgb"].map(|name| folder.join(name)).into_iter().find(|it| it.is_dir());
+    let place = place.unwrap_or_else(|| folder.join("color"));
+    let all = files_in(&place, &PICTURE_KINDS)?;
+    let of = |image: &PathBuf| {
+        let picture = all.iter().find(|picture| number_in(picture) == number_in(image));
+        let record = "picture with the number of each depth image, which --exposure needs";
+        picture.cloned().ok_or(LogError::Empty { path: place.clone(), record })
+    };
+    images.iter().map(of).collect()
 }
 
 /// The horizontal plane of the world, with the axes of `map` in it.
@@ -247,6 +277,33 @@ mod tests {
         std::fs::remove_file(folder.path().join("depth/9.png")).unwrap();
         let log = read(folder.path(), Slicing::default()).unwrap();
         assert_eq!(log.scans[0].readings_mm[..2], [10, 20]);
+    }
+
+    #[test]
+    fn badly_exposed_pixels_are_left_out_by_the_picture_of_the_same_number() {
+        let folder = two_frames("rgbd-exposure");
+        let read = |exposure| read(folder.path(), Slicing { exposure, ..Slicing::default() });
+        assert_eq!(read(ExposureRule::Any).unwrap().exposure, None);
+        let error = read(ExposureRule::Mask).unwrap_err().to_string();
+        assert!(error.contains("color"), "{error}");
+        let picture = |name: &str, row: &str| {
+            let text = format!("P2 4 3 255 {row} {row} {row}");
+            folder.file(&format!("rgb/{name}.pgm"), text.as_bytes());
+        };
+        picture("0009", "255 128 128 6");
+        let error = read(ExposureRule::Mask).unwrap_err().to_string();
+        assert!(error.contains("picture with the number of each depth image"), "{error}");
+        picture("0010", "255 12 12 6");
+        let masked = read(ExposureRule::Mask).unwrap();
+        assert_eq!(masked.scans[0].readings_mm, [0, 1_000, 2_000, 0]);
+        assert_eq!(masked.scans[1].readings_mm, [0, 5, 5, 0]);
+        // Of the first image, row 0 has 4 depths, row 1 has 2 and row 2 has 4.
+        assert_eq!(masked.exposure, Some(ExposureCounts { valid: 22, masked: 10 }));
+        let normalised = read(ExposureRule::Normalise).unwrap();
+        assert_eq!(normalised.scans[1].readings_mm, [0, 5, 5, 5]);
+        folder.file("rgb/0010.pgm", b"P2 1 1 255 7");
+        let error = read(ExposureRule::Mask).unwrap_err().to_string();
+        assert!(error.contains("0010.pgm") && error.contains("1 x 1 pixels"), "{error}");
     }
 
     #[test]

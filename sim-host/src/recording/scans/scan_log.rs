@@ -3,7 +3,7 @@
 use ubimap_protocol::time::Duration;
 
 use super::sensor::Sensor;
-use crate::recording::format::Format;
+use crate::recording::{exposure::ExposureCounts, format::Format};
 
 /// One scan of a log.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,6 +31,8 @@ pub struct Log {
     pub sensor: Sensor,
     /// The scans in order of time.
     pub scans: Vec<LoggedScan>,
+    /// The pixels that were looked at for their exposure, if a rule asked for it.
+    pub exposure: Option<ExposureCounts>,
     /// Warnings for the user about what may make the map wrong, one line each.
     pub warnings: Vec<String>,
     /// Notes for the user, one line each.

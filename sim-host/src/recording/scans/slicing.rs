@@ -7,7 +7,12 @@ use ubimap_agent::sense::{self, Camera, Pick, Slice, Slicer, Validity};
 use ubimap_protocol::units::Millimetres;
 
 use super::sensor::Sensor;
-use crate::recording::{depth_image::depths_mm, error::LogError, intrinsics::IntrinsicsFile};
+use crate::recording::{
+    depth_image::depths_mm,
+    error::LogError,
+    exposure::{ExposureCounts, ExposureRule},
+    intrinsics::IntrinsicsFile,
+};
 
 /// Number of rows in a band.
 const BAND: u16 = 5;
@@ -22,6 +27,8 @@ pub struct Slicing {
     pub slice: DepthSlice,
     /// The model of the image's columns.
     pub pixels: PixelModel,
+    /// What is done with badly exposed pixels.
+    pub exposure: ExposureRule,
     /// The up axis of the world in which the cameras' poses are given.
     pub up: UpAxis,
     /// Units of the depth images per metre, instead of what the intrinsics state.
@@ -98,14 +105,18 @@ impl Slicing {
         }
     }
 
-    /// Slices a depth image. Returns one reading for each column, in millimetres.
+    /// Slices a depth image, without what is badly exposed in its picture. Returns one reading for each
+    /// column, in millimetres.
     pub(super) fn slice(
         self,
-        path: &Path,
+        (path, picture): (&Path, Option<&Path>),
         intrinsics: &IntrinsicsFile,
         stance: &Stance,
-    ) -> Result<Vec<u16>, LogError> {
-        let depths = depths_mm(path, intrinsics)?;
+    ) -> Result<(Vec<u16>, ExposureCounts), LogError> {
+        let mut depths = depths_mm(path, intrinsics)?;
+        let size = (intrinsics.width, intrinsics.height);
+        let apply = |picture| self.exposure.apply_file(&mut depths, size, picture);
+        let counts = picture.map(apply).transpose()?.unwrap_or_default();
         let (width, row, height) =
             (intrinsics.width as usize, intrinsics.row() as u16, intrinsics.height as u16);
         let slice = match self.slice {
@@ -125,7 +136,7 @@ impl Slicing {
         let mut slicer = Slicer::new(slice, camera, width, Validity::default(), &mut buffer);
         let readings = slicer.as_mut().map_err(|error| *error).and_then(|it| it.frame(&depths));
         // This can't fail, because the slice was clipped to the image above.
-        Ok(readings.map(<[u16]>::to_vec).unwrap_or_default())
+        Ok((readings.map(<[u16]>::to_vec).unwrap_or_default(), counts))
     }
 
     fn camera(self, intrinsics: &IntrinsicsFile, stance: &Stance) -> Camera {

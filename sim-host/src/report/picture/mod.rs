@@ -29,6 +29,7 @@ pub use caption::Caption;
 pub use marker::{Marker, MarkerKind};
 pub use views::{
     Against, Moment, render, render_coverage, render_error, render_frames, render_overlap,
+    render_volatility,
 };
 
 /// Encodes a picture as PNG. Flat colours compress best without filters.

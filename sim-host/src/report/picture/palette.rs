@@ -35,6 +35,10 @@ pub(super) const EXTRA: Rgb<u8> = Rgb([200, 40, 150]);
 /// Occupied in the room but not on the map.
 pub(super) const MISSING: Rgb<u8> = Rgb([50, 105, 235]);
 
+/// Cells that are expected to change within an hour, ten minutes, and two minutes.
+pub(super) const VOLATILE: [Rgb<u8>; 3] =
+    [Rgb([250, 225, 120]), Rgb([240, 150, 40]), Rgb([215, 60, 45])];
+
 /// Robots and their paths.
 pub(super) const ROBOT: Rgb<u8> = Rgb([80, 200, 110]);
 /// People.
@@ -94,9 +98,28 @@ fn luminance(colour: Rgb<u8>, eyes: &[[f64; 3]; 3]) -> f64 {
 
 /// All colours.
 #[cfg(test)]
-pub(super) const ALL: [Rgb<u8>; 18] = [
-    INK, PAPER, UNKNOWN, FREE, MOVABLE, COVERED, BLIND, EXTRA, MISSING, ROBOT, PERSON, CAMERA,
-    UNSEEN, HIDDEN, SEEN_BY[0], SEEN_BY[1], SEEN_BY[2], SEEN_BY[3],
+pub(super) const ALL: [Rgb<u8>; 21] = [
+    INK,
+    PAPER,
+    UNKNOWN,
+    FREE,
+    MOVABLE,
+    COVERED,
+    BLIND,
+    EXTRA,
+    MISSING,
+    ROBOT,
+    PERSON,
+    CAMERA,
+    UNSEEN,
+    HIDDEN,
+    SEEN_BY[0],
+    SEEN_BY[1],
+    SEEN_BY[2],
+    SEEN_BY[3],
+    VOLATILE[0],
+    VOLATILE[1],
+    VOLATILE[2],
 ];
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use super::{
     marker::{self, Marker, MarkerKind},
     palette::{
         BLIND, COVERED, EXTRA, FREE, HIDDEN, MISSING, MOVABLE, PAPER, SEEN_BY, UNKNOWN, UNSEEN,
-        WALL,
+        VOLATILE, WALL,
     },
 };
 use crate::grid::OccupancyGrid;
@@ -136,6 +136,39 @@ pub fn render_overlap(
         (Sample::Cell(UNKNOWN), "no floor"),
     ];
     finish(canvas, cameras, caption, &cells)
+}
+
+/// Times between changes in seconds below which a cell has the colours of `VOLATILE`.
+const VOLATILE_S: [f64; 3] = [3_600.0, 600.0, 120.0];
+
+/// Draws how often the cells of a map are expected to change: for each of them, row by row, the last
+/// known code and the time between two changes in seconds; `None` if it was never known.
+pub fn render_volatility(
+    map: &OccupancyGrid,
+    intervals: &[Option<(Cell, f64)>],
+    caption: &Caption,
+) -> RgbImage {
+    let canvas = Canvas::new(map, scale_of(map), |column, row| {
+        let is_there = column < map.width() && row < map.height();
+        let index = is_there.then(|| row * map.width() + column);
+        let Some(&Some((code, seconds))) = index.and_then(|index| intervals.get(index)) else {
+            return UNKNOWN;
+        };
+        let mut colours = VOLATILE_S.iter().zip(VOLATILE).filter(|(below, _)| seconds < **below);
+        colours
+            .next_back()
+            .map_or(if code == Cell::Free { FREE } else { WALL }, |(_, colour)| colour)
+    });
+    let [hour, minutes, often] = VOLATILE.map(Sample::Cell);
+    let cells = [
+        (often, "changes within 2 minutes"),
+        (minutes, "within 10 minutes"),
+        (hour, "within an hour"),
+        (Sample::Cell(FREE), "more seldom: free"),
+        (Sample::Cell(WALL), "more seldom: occupied"),
+        (Sample::Cell(UNKNOWN), "never known"),
+    ];
+    finish(canvas, &[], caption, &cells)
 }
 
 /// What a map is compared with.

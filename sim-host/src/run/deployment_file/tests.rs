@@ -59,6 +59,10 @@ fn folder(name: &str) -> Folder {
     for name in ["plan.yaml", "floor.yaml"] {
         folder.file(name, MAP.as_bytes());
     }
+    folder.file(
+        "labels.toml",
+        b"[[labels]]\nclass = \"chair\"\npolygon_m = [[0, 0], [1, 0], [0, 1]]\n",
+    );
     let pose = "[[cameras]]\nname = \"south\"\nposition_m = [2.0, 0.2, 2.5]\nheading_deg = 90.0\n\
                 tilt_deg = 40.0\n";
     folder.file("cameras.toml", pose.as_bytes());

@@ -20,11 +20,14 @@ pub use keys::{KeysAction, KeysOptions};
 pub use knock::Knock;
 pub use replay::{FormatChoice, ReplayOptions, SlicingOptions};
 pub use selection::{GateName, PolicyName, SelectionOptions};
-pub use simulate::{ExposureName, MotionName, PeerMaskName, SensorName, SimulateOptions};
+pub use simulate::{MotionName, PeerMaskName, SensorName, SimulateOptions};
 pub(super) use values::{OptionError, heights, milliseconds, number, resolution, seconds};
 use values::{depth_scale, pose, probability, tolerance};
 
-use crate::channel::{address::Address, fault::Faults};
+use crate::{
+    channel::{address::Address, fault::Faults},
+    recording::ExposureRule,
+};
 
 /// Options of `ubimap watch`.
 #[derive(Args, Clone, Debug)]
@@ -54,6 +57,16 @@ pub struct WatchOptions {
     /// the tallest robot, or 0.3]
     #[arg(long, value_name = "LOW,HIGH", value_parser = heights, allow_negative_numbers = true)]
     pub obstacles: Option<[Millimetres; 2]>,
+
+    /// What is done where the picture is over- or underexposed; needs pictures of the same size as the
+    /// depth images
+    #[arg(long, value_enum, default_value_t)]
+    pub exposure: ExposureRule,
+
+    /// Where chairs, doors, people and cabinets are, which weighs how soon the map forgets: a file like
+    /// labels.toml (see mapping/labels.rs)
+    #[arg(long, value_name = "FILE")]
+    pub labels: Option<PathBuf>,
 
     /// The unit of the depth images.
     #[command(flatten)]
@@ -156,6 +169,11 @@ pub struct RunOptions {
     /// Tiles in each robot's pool, instead of the firmware's bound
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..=65_536))]
     pub tiles: Option<u32>,
+
+    /// Where chairs, doors, people and cabinets are, which weighs how soon the map forgets: a file like
+    /// labels.toml (see mapping/labels.rs); in addition to a scenario's own labels
+    #[arg(long, value_name = "FILE")]
+    pub labels: Option<PathBuf>,
 
     /// Store the map in this file, and continue from its content
     #[arg(long, value_name = "FILE", help_heading = "Results")]

@@ -9,7 +9,7 @@ use super::{
     DepthUnit, RunOptions, SelectionOptions,
     values::{max_range, resolution, robots},
 };
-use crate::recording::{DepthSlice, Format, PixelModel, Slicing, UpAxis};
+use crate::recording::{DepthSlice, ExposureRule, Format, PixelModel, Slicing, UpAxis};
 
 /// Options of `ubimap replay`.
 #[derive(Args, Clone, Debug)]
@@ -60,6 +60,10 @@ pub struct SlicingOptions {
     #[arg(long, value_enum, default_value_t)]
     pub pixel_model: PixelModel,
 
+    /// What is done where the picture of the same number, in color or rgb, is over- or underexposed
+    #[arg(long, value_enum, default_value_t)]
+    pub exposure: ExposureRule,
+
     /// The unit of the depth images.
     #[command(flatten)]
     pub unit: DepthUnit,
@@ -73,7 +77,13 @@ impl SlicingOptions {
     /// Converts to the options of the log reader.
     pub fn slicing(&self) -> Slicing {
         let depth_per_metre = self.unit.per_metre;
-        Slicing { slice: self.slice, pixels: self.pixel_model, up: self.up, depth_per_metre }
+        Slicing {
+            slice: self.slice,
+            pixels: self.pixel_model,
+            exposure: self.exposure,
+            up: self.up,
+            depth_per_metre,
+        }
     }
 }
 

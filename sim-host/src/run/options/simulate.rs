@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use ubimap_agent::{map::PeerMask, sense::Exposure};
+use ubimap_agent::map::PeerMask;
 use ubimap_protocol::time::Duration;
 
 use super::{
@@ -12,7 +12,7 @@ use super::{
     values::{OptionError, number, robots, seconds},
 };
 use crate::{
-    recording::PixelModel,
+    recording::{ExposureRule, PixelModel},
     run::outside::OutsidePorts,
     world::{NAMED, Scenario},
 };
@@ -22,8 +22,8 @@ use crate::{
 #[command(next_help_heading = "Scenario")]
 pub struct SimulateOptions {
     /// A scenario: a file (TOML), or the name of a built-in one: room, warehouse,
-    /// changing, office, ahmed-2013, ahmed-2013-b, aluckal-room or
-    /// ubislam-figure-1
+    /// changing, office, ahmed-2013, ahmed-2013-b, aluckal-room, awareness
+    /// or ubislam-figure-1
     #[arg(default_value = NAMED[0].0)]
     pub scenario: PathBuf,
 
@@ -90,7 +90,7 @@ pub struct SimulateOptions {
 
     /// What is done where a robot's depth camera is over- or underexposed
     #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t)]
-    pub exposure: ExposureName,
+    pub exposure: ExposureRule,
 
     /// Number of robots, instead of the scenario's
     #[arg(long, help_heading = "Cameras and robots", value_name = "N", value_parser = robots(), allow_negative_numbers = true)]
@@ -105,6 +105,10 @@ pub struct SimulateOptions {
     /// serial ports to the server, to a simulated A010 depth camera and to a simulated Create 2
     #[arg(long, help_heading = "Cameras and robots", value_name = "SERVER,SENSOR,WHEELS", conflicts_with_all = ["scripted", "motion", "tiles"])]
     pub outside: Option<OutsidePorts>,
+
+    /// Ignore the labels and classes of the scenario
+    #[arg(long)]
+    pub no_classes: bool,
 
     /// Duration in seconds, instead of the scenario's
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
@@ -139,7 +143,7 @@ impl SimulateOptions {
     pub(crate) fn keeps_points(&self, scenario: &Scenario) -> bool {
         let compares = self.selection.policy != PolicyName::Full
             || self.pixel_model != PixelModel::Pinhole
-            || self.exposure != ExposureName::Any;
+            || self.exposure != ExposureRule::Any;
         self.points.is_some() || !scenario.glare.is_empty() || compares
     }
 
@@ -170,26 +174,6 @@ pub enum SensorName {
     Range,
     /// A grey camera on each robot, whose pictures it segments onboard (Ahmed et al.)
     GreyCamera,
-}
-
-/// What is done with over- and underexposed pixels.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum ExposureName {
-    /// Nothing: their depths are taken like all others
-    #[default]
-    Any,
-    /// Their depths are left out (Aluckal III.D, "ignoring the exposed region")
-    Mask,
-}
-
-impl ExposureName {
-    /// The brightness at which depths count.
-    pub fn limits(self) -> Exposure {
-        match self {
-            Self::Any => Exposure::ANY,
-            Self::Mask => Exposure { darkest: 8, brightest: 250 },
-        }
-    }
 }
 
 /// The shapes of the masks around other robots.

@@ -3,6 +3,7 @@
 
 mod ahmed;
 mod aluckal;
+mod awareness;
 mod page;
 mod runs;
 mod ubislam;
@@ -59,6 +60,14 @@ pub fn run(options: &ReproduceOptions) -> Result<PathBuf, RunError> {
     let mut runs = Runs::new(options.seconds);
     let mut page = Page::new(options.seconds);
     let is_asked = |paper| options.paper.is_none_or(|asked| asked == paper);
+    // The longest first, so that no processor is idle at the end.
+    let papers = [
+        (Paper::Ubislam, ubislam::lines()),
+        (Paper::Ahmed, ahmed::lines()),
+        (Paper::Aluckal, aluckal::lines()),
+    ];
+    let asked = papers.into_iter().filter(|(paper, _)| is_asked(*paper));
+    runs.prepare(&asked.flat_map(|(_, lines)| lines).collect::<Vec<_>>())?;
     if is_asked(Paper::Ubislam) {
         ubislam::write(&mut page, &mut runs)?;
     }

@@ -7,6 +7,19 @@ use image::RgbImage;
 use super::super::{Outcome, RunError};
 use crate::report::{self, png};
 
+/// What the page has of a section.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Has {
+    /// The paper's experiment, run.
+    Experiment,
+    /// Figures for what the paper claims without one.
+    Claims,
+    /// How it is done here; the figures are elsewhere.
+    Method,
+    /// Nothing to run.
+    Nothing,
+}
+
 /// A page that is being written.
 pub(super) struct Page {
     contents: String,
@@ -33,9 +46,18 @@ impl Page {
         let _ = writeln!(self.body, "{reference}\n");
     }
 
-    /// A section of a paper.
-    pub(super) fn section(&mut self, title: &str) {
+    /// A section of a paper, and what there is of it here, for the contents.
+    pub(super) fn section(&mut self, title: &str, has: Has) {
         self.heading(1, title);
+        let has = match has {
+            Has::Experiment => "**experiment run**",
+            Has::Claims => "**claims measured**",
+            Has::Method => "method described, tested elsewhere",
+            Has::Nothing => "no experiment",
+        };
+        // The heading has just ended its line.
+        self.contents.pop();
+        let _ = writeln!(self.contents, ": {has}");
     }
 
     fn heading(&mut self, depth: usize, title: &str) {
@@ -104,6 +126,19 @@ impl Page {
     }
 }
 
+/// A number with its digits in groups of three.
+pub(super) fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
 /// A row of a table.
 pub(super) fn row<const N: usize>(cells: [String; N]) -> Vec<String> {
     cells.to_vec()
@@ -117,13 +152,17 @@ mod tests {
     fn every_heading_is_in_the_contents_with_its_anchor() {
         let mut page = Page::new(Some(5.0));
         page.paper("Ahmed et al.", "Reference.");
-        page.section("2.1 Objects' boundary detection");
+        page.section("2.1 Objects' boundary detection", Has::Experiment);
         page.table(&["what", "ours"], &[row(["time".to_owned(), "4 s".to_owned()])]);
         let text = page.text();
         assert!(text.contains("- [Ahmed et al.](#ahmed-et-al)"), "{text}");
         assert!(
-            text.contains("  - [2.1 Objects' boundary detection](#21-objects-boundary-detection)")
+            text.contains(
+                "  - [2.1 Objects' boundary detection](#21-objects-boundary-detection): **experiment run**\n"
+            ),
+            "{text}"
         );
+        assert_eq!([0, 999, 1_000, 12_345_678].map(grouped), ["0", "999", "1,000", "12,345,678"]);
         assert!(text.contains("| what | ours |\n|---|--:|\n| time | 4 s |\n"));
         assert!(text.contains("cut to 5 s"));
     }

@@ -122,6 +122,7 @@ fn serve_file(path: &Path, options: &ServeOptions) -> Result<ServeReport, RunErr
         obstacle_heights: file.obstacles,
         coordination: Some(Settings::default()),
         floor: file.floor,
+        labels: file.labels,
         ..deployment::Config::new(file.resolution)
     };
     for camera in file.cameras.iter().filter(|camera| !camera.is_placed) {

@@ -8,6 +8,7 @@ use std::{
 };
 
 use ubimap_protocol::{
+    tile::Cell,
     time::{Duration, Instant},
     units::Millimetres,
 };
@@ -25,7 +26,7 @@ use crate::{
         self, Against, Caption, FrameDelays, HexDigest, Marker, MarkerKind, OutputFolder, SeenMap,
         ServeReport, ServedCamera,
     },
-    run::{Outcome, RunError, deployment_file::DeployedCamera, markers},
+    run::{Outcome, RunError, deployment_file::DeployedCamera, markers, volatility},
 };
 
 /// Delays longer than this many milliseconds are counted as this one.
@@ -122,6 +123,7 @@ pub(super) struct Snapshot {
     map: OccupancyGrid,
     coverage: OccupancyGrid,
     plan: Option<Arc<OccupancyGrid>>,
+    intervals: Vec<Option<(Cell, f64)>>,
     views: Vec<Marker>,
     others: Vec<Marker>,
     caption: Caption,
@@ -157,7 +159,8 @@ impl Snapshot {
         });
         let others = robots.chain(markers::people(deployment, now)).collect();
         let views = markers::cameras(cameras);
-        Ok(Self { report, map, coverage, plan, views, others, caption })
+        let intervals = volatility::intervals(deployment, &map, now);
+        Ok(Self { report, map, coverage, plan, intervals, views, others, caption })
     }
 
     /// The area that the map knows, in square metres.
@@ -167,14 +170,19 @@ impl Snapshot {
 
     /// Draws the pictures.
     fn outcome(self) -> Outcome<ServeReport> {
-        let Self { report, map, coverage, plan, views, others, caption } = self;
+        let Self { report, map, coverage, plan, intervals, views, others, caption } = self;
         let coverage = report::render_coverage(&map, &coverage, &views, &caption);
         let plan = plan.map(|plan| {
             let plan = plan.on_cells_of(&map);
             report::render_error(&map, &plan, &plan, Against::Plan, &caption)
         });
+        let changes = report::render_volatility(&map, &intervals, &caption);
         let markers = others.into_iter().chain(views).collect();
-        let pictures = [("coverage.png", Some(coverage)), ("plan.png", plan)];
+        let pictures = [
+            ("coverage.png", Some(coverage)),
+            ("volatility.png", Some(changes)),
+            ("plan.png", plan),
+        ];
         let pictures = pictures.into_iter().filter_map(|(name, it)| Some((name, it?))).collect();
         Outcome { report, map, markers, caption, pictures, tables: Vec::new() }
     }

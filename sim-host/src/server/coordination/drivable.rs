@@ -7,10 +7,7 @@ use ubimap_protocol::{
     units::Millimetres,
 };
 
-use crate::grid::{MAX_CELLS, OccupancyGrid};
-
-/// Coordinates beyond this many metres are a mistake.
-const FARTHEST_M: f64 = 10_000.0;
+use crate::grid::{MAX_CELLS, OccupancyGrid, is_inside, span};
 
 /// An area of the floor.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,26 +121,6 @@ impl Area {
 fn outline(grid: &OccupancyGrid) -> [[f64; 2]; 4] {
     let (width, height) = (grid.width() as f64, grid.height() as f64);
     [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]].map(|corner| grid.to_map(corner))
-}
-
-/// The cells that points cover along an axis.
-fn span(points: &[[f64; 2]], axis: usize, side_m: f64) -> Option<std::ops::Range<i32>> {
-    let along = || points.iter().map(|point| point[axis]);
-    if !along().all(|metres| metres.abs() <= FARTHEST_M) {
-        return None;
-    }
-    let first = along().fold(f64::INFINITY, f64::min) / side_m;
-    let last = along().fold(f64::NEG_INFINITY, f64::max) / side_m;
-    Some(first.floor() as i32..last.ceil() as i32)
-}
-
-/// Whether a point lies in a polygon: a ray to the east crosses its edges an odd number of times.
-fn is_inside(corners: &[[f64; 2]], [x, y]: [f64; 2]) -> bool {
-    let next = corners.iter().cycle().skip(1);
-    let crosses = corners.iter().zip(next).filter(|([ax, ay], [bx, by])| {
-        (*ay > y) != (*by > y) && x < ax + (y - ay) / (by - ay) * (bx - ax)
-    });
-    crosses.count() % 2 == 1
 }
 
 #[cfg(test)]

@@ -84,6 +84,7 @@ impl Corrections {
     ) {
         let robot = session.robot();
         let Some(vector) = session.said_mut().take_vector() else { return };
+        map.look_along(&vector, resolution);
         let correction = self.robots.entry(robot).or_default();
         match correction.look(robot, &vector, (map, resolution), now) {
             Some(Finding::Fix(_)) if self.are_off => {}

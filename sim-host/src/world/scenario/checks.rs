@@ -25,6 +25,9 @@ impl Scenario {
         for (index, furniture) in self.furniture.iter().enumerate() {
             self.check_furniture(&format!("furniture[{index}]"), furniture)?;
         }
+        for (index, glare) in self.glare.iter().enumerate() {
+            self.number(&format!("glare[{index}].light"), glare.light, 0.0..=1_000.0)?;
+        }
         for (index, door) in self.doors.iter().enumerate() {
             self.check_door(&format!("doors[{index}]"), door)?;
         }
@@ -45,6 +48,7 @@ impl Scenario {
         for (index, person) in self.people.iter().enumerate() {
             self.check_person(&format!("people[{index}]"), person)?;
         }
+        self.labels()?;
         Ok(())
     }
 
@@ -56,6 +60,7 @@ impl Scenario {
             ("people", self.people.len(), 1_000),
             ("furniture", self.furniture.len(), 10_000),
             ("doors", self.doors.len(), 10_000),
+            ("labels", self.labels.len(), 10_000),
             ("room.walls", self.room.walls.len(), 10_000),
         ] {
             if count > most {

@@ -6,13 +6,17 @@
 
 mod camera;
 mod checks;
+mod labelled;
 mod robot;
 
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use crate::files;
+use crate::{
+    files,
+    mapping::{Class, LabelConfig},
+};
 
 pub use camera::{CameraConfig, DepthConfig, KnockConfig, PictureConfig};
 pub use robot::{
@@ -23,7 +27,7 @@ pub use robot::{
 pub const BUILT_IN: &str = include_str!("../../../scenarios/room.toml");
 
 /// All built-in scenarios by name; the first is the default.
-pub const NAMED: [(&str, &str); 8] = [
+pub const NAMED: [(&str, &str); 9] = [
     ("room", BUILT_IN),
     ("warehouse", include_str!("../../../scenarios/warehouse.toml")),
     ("changing", include_str!("../../../scenarios/changing.toml")),
@@ -31,6 +35,7 @@ pub const NAMED: [(&str, &str); 8] = [
     ("ahmed-2013", include_str!("../../../scenarios/ahmed-2013.toml")),
     ("ahmed-2013-b", include_str!("../../../scenarios/ahmed-2013-b.toml")),
     ("aluckal-room", include_str!("../../../scenarios/aluckal-room.toml")),
+    ("awareness", include_str!("../../../scenarios/awareness.toml")),
     ("ubislam-figure-1", include_str!("../../../scenarios/ubislam-figure-1.toml")),
 ];
 
@@ -112,6 +117,9 @@ pub struct Scenario {
     /// Doors in gaps of the walls.
     #[serde(default)]
     pub doors: Vec<DoorConfig>,
+    /// Where things of a class stand, for the server: how soon it forgets what it knows of these places.
+    #[serde(default)]
+    pub labels: Vec<LabelConfig>,
     /// Where the light is too bright or too dark for the depth cameras of robots.
     #[serde(default)]
     pub glare: Vec<GlareConfig>,
@@ -153,15 +161,15 @@ pub struct RoomConfig {
     pub map: Option<PathBuf>,
 }
 
-/// Surfaces that are over- or underexposed in the pictures of robots' stereo cameras: their depths are
-/// arbitrary or missing.
+/// Surfaces with unusual light. Where they, or others beside them, are over- or underexposed in the
+/// pictures of robots' stereo cameras, depths are arbitrary or missing.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GlareConfig {
     /// The ground under the surfaces.
     pub footprint: FootprintConfig,
-    /// Brightness of the surfaces' pixels, from 0 to 255; others have 128.
-    pub brightness: u8,
+    /// Light of the surfaces as a multiple of the room's.
+    pub light: f64,
 }
 
 /// Cameras, robots and people to be placed in a map.
@@ -205,6 +213,8 @@ pub struct FurnitureConfig {
     pub bottom_m: f64,
     /// Height of its upper side.
     pub top_m: f64,
+    /// Its class, which labels the place where it stands first.
+    pub class: Option<Class>,
     /// Side of square legs from the floor to `bottom_m`, at the corners of a box.
     pub legs_m: Option<f64>,
     /// The times and places to which it is moved, in order of time; not for a polygon.
@@ -247,6 +257,8 @@ pub struct DoorConfig {
     /// Thickness of the leaf.
     #[serde(default = "defaults::door_thickness_m")]
     pub thickness_m: f64,
+    /// Its class, which labels the places of the leaf and the ground between.
+    pub class: Option<Class>,
     /// Intervals (from, to) during which it is open, in order of time; otherwise it is closed.
     #[serde(default)]
     pub open_s: Vec<[f64; 2]>,

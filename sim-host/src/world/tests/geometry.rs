@@ -58,6 +58,7 @@ fn furniture() -> impl Strategy<Value = FurnitureConfig> {
         }),
     ];
     (footprint, 0.0..1.5, 0.1..1.4).prop_map(|(footprint, bottom_m, height)| FurnitureConfig {
+        class: None,
         name: String::new(),
         footprint,
         bottom_m,
