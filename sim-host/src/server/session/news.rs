@@ -189,12 +189,12 @@ mod tests {
         assert_eq!(due, Instant(1_200_000));
         assert_eq!(tell(&mut news, &about, 1_200), Some(vec![2, 3]));
         assert_eq!(news.poll_timeout(&about, ME), None);
-        // Robot 9 is far away, and the poses of the others are stale.
+        // Robot 9 is far away, and the others have been silent for more than a minute.
         let far = Pose::from_metres(0.0, 0.0, 0.0);
-        about.robot(RobotId(9), second(5), far);
-        assert_eq!(tell(&mut news, &about, 5_000), Some(vec![]));
-        about.robot(RobotId(9), second(6), far);
-        assert_eq!(tell(&mut news, &about, 6_000), None);
+        about.robot(RobotId(9), second(65), far);
+        assert_eq!(tell(&mut news, &about, 65_000), Some(vec![]));
+        about.robot(RobotId(9), second(66), far);
+        assert_eq!(tell(&mut news, &about, 66_000), None);
         assert_eq!(news.poll_timeout(&about, ME), None);
     }
 
