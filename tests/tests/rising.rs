@@ -125,7 +125,7 @@ fn robots_are_told_of_a_person_who_rises_and_the_place_becomes_free() {
         "a person who rises: told as a person after {after:?} s; of {} cells drawn at the seat {} are left",
         known.seated, known.left
     );
-    assert!(after.is_some_and(|after| (0.0..1.5).contains(&after)), "{after:?}");
+    assert!(after.is_some_and(|after| (0.0..1.0).contains(&after)), "{after:?}");
     assert_eq!(known.wrong, None);
     assert!(known.seated > 20 && known.left <= known.seated / 20, "{known:?}");
     let standing = known.postures.iter().filter(|it| **it == Posture::Standing).count();

@@ -13,6 +13,7 @@ use super::{
     evidence::Evidence,
     footprint::Footprint,
     ray_table::{RayTable, Survey},
+    rising::has_risen,
     things::things,
     tracks::Tracks,
 };
@@ -156,14 +157,17 @@ impl Eye {
         if let (Some((lens, detector)), Some(picture)) = (&mut self.detector, &frame.picture) {
             label(&mut things, &detector.detect(picture), lens, side.metres());
         }
+        let totals = self.background.totals();
+        for thing in things.iter_mut().filter(|thing| has_risen(thing, rays, totals)) {
+            thing.label.get_or_insert_with(|| "person".to_owned());
+        }
         let mut movable = vec![false; rays.cells()];
         for cell in things.iter().flat_map(|thing| &thing.cells) {
             if let Some(index) = rays.index(*cell) {
                 movable[index] = true;
             }
         }
-        let cells =
-            cells(rays, self.background.totals(), &self.evidence, &movable, &under, &mut self.said);
+        let cells = cells(rays, totals, &self.evidence, &movable, &under, &mut self.said);
 
         self.tracks.observe(frame.captured, &things, side);
         if frame.captured >= self.newest {

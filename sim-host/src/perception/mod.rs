@@ -19,6 +19,7 @@ pub mod markers;
 mod motion;
 mod observer;
 mod ray_table;
+mod rising;
 pub mod robots;
 pub mod steadiness;
 #[cfg(test)]
