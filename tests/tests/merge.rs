@@ -144,6 +144,6 @@ proptest! {
         let back: Vec<_> =
             there.iter().rev().copied().chain([(Weight::FULL, &silent)]).collect();
         let time = MapTime::at(Instant(now * 1_000_000));
-        prop_assert_eq!(fuse(&cameras, &there, time), fuse(&cameras, &back, time));
+        prop_assert_eq!(fuse(&cameras, &there, None, time), fuse(&cameras, &back, None, time));
     }
 }

@@ -238,7 +238,7 @@ impl<'b> Star<'b> {
             .iter()
             .filter_map(|&robot| Some((server.weight(robot), server.layer(robot)?.seen(id)?)));
         let layers: Vec<_> = layers.collect();
-        let mut whole = fuse(&SeenTile::NOTHING, &layers, server.map_time());
+        let mut whole = fuse(&SeenTile::NOTHING, &layers, None, server.map_time());
         let side = TILE_SIDE as i32;
         for (x, y) in &self.seen_free {
             if (x.div_euclid(side), y.div_euclid(side)) == (i32::from(id.x), i32::from(id.y)) {
