@@ -64,7 +64,10 @@ fn aluckals_policies_keep_fewer_and_fewer_redundant_points() {
     let policy = |name: &str| points(&format!("--exposure mask --policy {name}"));
     let [pilot, threshold, omission, printed, full] =
         ["pilot", "threshold", "omission", "omission-as-printed", "full"].map(policy);
-    assert!(pilot.scans == 451 && pilot.mapped == 451, "{pilot}");
+    let all = points("--policy pilot");
+    assert_eq!((all.scans, all.mapped), (451, 451), "{all}");
+    // Few scans see nothing but what is clipped or dark.
+    assert!(pilot.mapped < 451 && pilot.mapped > 440, "{pilot}");
     assert!(threshold.kept * 2 < pilot.kept, "{threshold} {pilot}");
     assert!(omission.kept * 2 < threshold.kept, "{omission} {threshold}");
     assert!(omission.redundant < threshold.redundant && threshold.redundant < pilot.redundant);
@@ -134,7 +137,7 @@ fn robots_in_ubislams_figure_keep_their_poses_and_the_figure_shows_all_of_it() {
 fn the_page_has_the_papers_sections_and_all_its_pictures() {
     let out = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("reproduced");
     let options =
-        ReproduceOptions { paper: Some(Paper::Aluckal), out: out.clone(), seconds: Some(2.0) };
+        ReproduceOptions { paper: Some(Paper::Aluckal), out: out.clone(), seconds: Some(1.0) };
     let page = std::fs::read_to_string(reproduce::run(&options).unwrap()).unwrap();
     for section in ["II.A Data acquisition", "II.B Pre-processing", "III.A", "III.D Future work"] {
         assert!(page.contains(&format!("### {section}")), "{section}");

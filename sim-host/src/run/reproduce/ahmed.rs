@@ -56,10 +56,10 @@ pub(super) fn write(page: &mut Page, runs: &mut Runs) -> Result<(), RunError> {
     page.say(&format!(
         "\"Near by object boundaries can be mapped with higher accuracy\": confirmed, see 2.3. The features do \
          \"not overload the communication network between the robots\": in the first experiment the {} robots send \
-         {:.0} bytes per second together, and get {:.0}; a picture of 320 x 240 has 76,800.",
+         {} bytes per second together, and get {}; a picture of 320 x 240 has 76,800 bytes.",
         first.report.robots.len(),
-        up as f64 / seconds,
-        down as f64 / seconds
+        grouped((up as f64 / seconds) as u64),
+        grouped((down as f64 / seconds) as u64)
     ));
     Ok(())
 }

@@ -156,8 +156,8 @@ fn load(page: &mut Page, report: &Report) {
         row([
             name.to_owned(),
             grouped(1_000 * (instructions / 1_000.0).round() as u64),
-            format!("{up:.0}"),
-            format!("{down:.0}"),
+            grouped(up as u64),
+            grouped(down as u64),
             format!("{:.2} mJ", energy(instructions, up + down)),
         ])
     };
