@@ -104,7 +104,7 @@ fn people(page: &mut Page, report: &Report) {
     }
 }
 
-fn errors(page: &mut Page, report: &Report) {
+fn errors(page: &mut Page, report: &Report, scripted: &Report) {
     page.say("Claimed, not measured: SLAM onboard accumulates drift, fixed cameras do not. The same \
              three robots in the same run: with fixes of the cameras; by odometry alone (1 % slip, 0.5 \
              degrees noise); and with scan matching of their own (point to line, with odometry as prior, \
