@@ -279,7 +279,10 @@ fn a_recorded_simulation_can_be_watched_and_its_faults_are_named() {
         names.sort();
         names.join(" ")
     };
-    assert_eq!(written(&out), "coverage.png map.pgm map.png map.yaml report.json robots.csv");
+    assert_eq!(
+        written(&out),
+        "coverage.png map.pgm map.png map.yaml report.json robots.csv volatility.png"
+    );
     let figures = |options: &[&str]| {
         let output = ubimap(&[&["watch", &recording, "--out", &out], options].concat());
         String::from_utf8(output.stdout).unwrap()
