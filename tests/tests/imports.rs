@@ -29,7 +29,7 @@ const HOST: [(&str, &[&str]); 19] = [
     ("calibration", &["camera", "perception"]),
     ("channel", &[]),
     ("conformance", &[]),
-    ("report", &["files", "grid", "camera", "perception", "mapping", "server"]),
+    ("report", &["files", "recording", "grid", "camera", "perception", "mapping", "server"]),
     ("world", &["files", "rounding", "grid", "camera"]),
     ("devices", &[]),
     (

@@ -9,7 +9,8 @@ use ubimap_protocol::{
 use super::registry::Registry;
 use crate::{
     camera::Calibration,
-    mapping::{CameraTile, CureRecord, Label, TileRecord},
+    grid::Label,
+    mapping::{CameraTile, CureRecord, TileRecord},
     server::coordination::{DrivableFloor, Settings},
 };
 

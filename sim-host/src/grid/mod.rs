@@ -5,6 +5,7 @@
 //! [`compare`] scores one grid against another.
 
 mod clusters;
+mod labels;
 mod occupancy;
 mod polygon;
 pub(crate) mod raster;
@@ -12,6 +13,7 @@ mod ros_map;
 mod score;
 
 pub(crate) use clusters::clusters;
+pub use labels::{Class, Label, LabelConfig, labels, read_labels};
 pub use occupancy::{CellCounts, GridError, MAX_CELLS, OccupancyGrid};
 pub(crate) use polygon::{is_inside, span};
 pub use raster::RasterError;

@@ -8,8 +8,7 @@ use ubimap_protocol::{
     units::Millimetres,
 };
 
-use super::labels::Label;
-use crate::grid::span;
+use crate::grid::{Label, span};
 
 /// Unit of the distances of a vector in millimetres, and the code of those beyond its range.
 const UNIT_MM: f64 = 20.0;
@@ -156,7 +155,7 @@ fn place(x: i32, y: i32) -> Option<(TileId, usize)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::labels::Class;
+    use crate::grid::Class;
     use ubimap_protocol::{
         time::Instant,
         units::{Angle, Pose},

@@ -20,8 +20,7 @@ use crate::{
     channel::address::Address,
     deployment::registry::{RegisteredRobot, Registry},
     files,
-    grid::{self, OccupancyGrid},
-    mapping::{Label, read_labels},
+    grid::{self, Label, OccupancyGrid, read_labels},
     recording::{IntrinsicsFile, Reading, RecordedFrames},
     server::coordination::{Area, DrivableFloor},
 };

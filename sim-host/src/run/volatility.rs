@@ -10,8 +10,8 @@ use ubimap_protocol::{
 use super::RunError;
 use crate::{
     deployment::Deployment,
-    grid::OccupancyGrid,
-    mapping::{CellLabel, Label, MapTime, interval_s, read_labels},
+    grid::{Label, OccupancyGrid, read_labels},
+    mapping::{CellLabel, MapTime, interval_s},
 };
 
 /// The labels of a file, if one is given.

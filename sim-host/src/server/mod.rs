@@ -62,7 +62,8 @@ use self::{
 };
 use crate::{
     camera::{Observation, Sighting},
-    mapping::{CoverageLayer, Label, Limit, PriorLayer},
+    grid::Label,
+    mapping::{CoverageLayer, Limit, PriorLayer},
     perception::robots::SightingEvent,
 };
 

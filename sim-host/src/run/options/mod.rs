@@ -64,7 +64,7 @@ pub struct WatchOptions {
     pub exposure: ExposureRule,
 
     /// Where chairs, doors, people and cabinets are, which weighs how soon the map forgets: a file like
-    /// labels.toml (see mapping/labels.rs)
+    /// labels.toml (see grid/labels.rs)
     #[arg(long, value_name = "FILE")]
     pub labels: Option<PathBuf>,
 
@@ -171,7 +171,7 @@ pub struct RunOptions {
     pub tiles: Option<u32>,
 
     /// Where chairs, doors, people and cabinets are, which weighs how soon the map forgets: a file like
-    /// labels.toml (see mapping/labels.rs); in addition to a scenario's own labels
+    /// labels.toml (see grid/labels.rs); in addition to a scenario's own labels
     #[arg(long, value_name = "FILE")]
     pub labels: Option<PathBuf>,
 

@@ -1,7 +1,7 @@
 //! The labels of a scenario: those it states, and those of its furniture and doors that have a class.
 
 use super::{DoorConfig, FootprintConfig, FurnitureConfig, Scenario, ScenarioError};
-use crate::mapping::{Label, labels};
+use crate::grid::{Label, labels};
 
 /// Ground around a piece of furniture that has its label, too, in metres: its surfaces are drawn in the
 /// cells there.
@@ -65,7 +65,7 @@ fn of_door(door: &DoorConfig) -> Option<Label> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mapping::Class;
+    use crate::grid::Class;
 
     #[test]
     fn furniture_and_doors_with_a_class_have_labels() {

@@ -15,7 +15,7 @@ use serde::Deserialize;
 
 use crate::{
     files,
-    mapping::{Class, LabelConfig},
+    grid::{Class, LabelConfig},
 };
 
 pub use camera::{CameraConfig, DepthConfig, KnockConfig, PictureConfig};

@@ -23,10 +23,8 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::{
-    files,
-    grid::{is_inside, span},
-};
+use super::polygon::{is_inside, span};
+use crate::files;
 
 /// Maximum extent of a label along an axis in metres.
 const WIDEST_M: usize = 100;
