@@ -239,7 +239,7 @@ fn assert_same_on_all_cores(folder: &Path, journal: &[u8], given: &str) {
 }
 
 #[test]
-#[ignore = "runs an image in the emulator: cargo thorough"]
+#[ignore = "runs an image in the emulator: cargo real-time"]
 fn a_journal_gives_the_same_on_four_cores_and_here() {
     let journal = simulated();
     let given = played(&journal);
@@ -255,7 +255,7 @@ struct CommandLine {
 
 /// The firmware in the emulator, driving in the simulated room, does what the same robot does here.
 #[test]
-#[ignore = "runs an image in the emulator: cargo thorough"]
+#[ignore = "runs an image in the emulator: cargo real-time"]
 fn the_firmwares_journal_is_repeated_here() {
     let folder = folder("firmware");
     let written = folder.join("written");
@@ -292,7 +292,7 @@ fn noticed(journal: &[u8], given: &str, port: Port) -> usize {
 }
 
 #[test]
-#[ignore = "long: cargo thorough"]
+#[ignore = "long: cargo real-time"]
 fn flipped_bits_are_detected() {
     let journal = simulated();
     let given = played(&journal);
