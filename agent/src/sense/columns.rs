@@ -5,18 +5,18 @@ use core::f32::consts::PI;
 use heapless::Vec;
 use libm::{atan2f, sqrtf};
 use ubimap_protocol::{
-    message::MAX_COLUMNS,
+    message::{DistanceVector, MAX_COLUMNS},
     units::{Angle, Pose},
 };
 
 use super::beams::{Beam, DIRECTION_BITS};
 
 /// The unit of distances, in millimetres.
-const UNIT: f32 = 20.0;
+const UNIT: f32 = DistanceVector::UNIT.0 as f32;
 /// Width of the column of a lone beam, in binary angle units: 5 degrees.
 const ALONE: i32 = 910;
 
-/// The columns of a [`DistanceVector`](ubimap_protocol::message::DistanceVector).
+/// The columns of a [`DistanceVector`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Columns {
     /// The bearing of the first column, the rightmost, in `base_link`.

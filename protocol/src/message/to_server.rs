@@ -111,12 +111,16 @@ pub struct DistanceVector {
     pub first: Angle,
     /// Angle from one column to the next, in binary angle units; negative for clockwise.
     pub step: i16,
-    /// For each column the free distance from the origin of `base_link`, in units of 20 mm; 0 if
-    /// unknown, 255 for 5.1 m and more.
+    /// For each column the free distance from the origin of `base_link`, in units of
+    /// [`DistanceVector::UNIT`]; 0 if unknown, [`DistanceVector::BEYOND`] for 5.1 m and more.
     pub distances: Vec<u8, MAX_COLUMNS>,
 }
 
 impl DistanceVector {
+    /// The unit of the distances.
+    pub const UNIT: Millimetres = Millimetres(20);
+    /// The code of all distances from 5.1 m on.
+    pub const BEYOND: u8 = 255;
     /// Maximum size of the message without its columns, in bytes, kind and length included.
     pub const OVERHEAD: usize = 33;
 }

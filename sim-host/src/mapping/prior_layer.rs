@@ -10,10 +10,6 @@ use ubimap_protocol::{
 
 use crate::grid::{Label, span};
 
-/// Unit of the distances of a vector in millimetres, and the code of those beyond its range.
-const UNIT_MM: f64 = 20.0;
-const BEYOND: u8 = 255;
-
 /// The label of a cell, and when a robot last looked at it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CellPrior {
@@ -59,7 +55,8 @@ impl PriorTile {
         Self { labels: [CellLabel::None; TILE_CELLS as usize], looked: [0; TILE_CELLS as usize] };
 
     /// A tile with the same prior in all cells.
-    pub fn everywhere(prior: CellPrior) -> Self {
+    #[cfg(test)]
+    pub(super) fn everywhere(prior: CellPrior) -> Self {
         Self {
             labels: [prior.label; TILE_CELLS as usize],
             looked: [prior.looked; TILE_CELLS as usize],
@@ -124,8 +121,9 @@ impl PriorLayer {
             let bearing = vector.pose.heading.0.wrapping_add(vector.first.0).wrapping_add(turn);
             let bearing = f64::from(bearing) * core::f64::consts::TAU / 65_536.0;
             let (sin, cos) = (libm::sin(bearing), libm::cos(bearing));
-            let surface = if distance == BEYOND { 0.0 } else { side_mm };
-            let steps = ((f64::from(distance) * UNIT_MM + surface) / side_mm) as usize;
+            let surface = if distance == DistanceVector::BEYOND { 0.0 } else { side_mm };
+            let reach_mm = f64::from(i32::from(distance) * DistanceVector::UNIT.0);
+            let steps = ((reach_mm + surface) / side_mm) as usize;
             for step in 0..=steps {
                 let away = step as f64 * side_mm;
                 let at = [eye[0] + away * cos, eye[1] + away * sin];
@@ -204,7 +202,7 @@ mod tests {
         vector.time = Instant(3_000_000);
         layer.look(&vector, SIDE);
         assert_eq!(looked(&layer), [7, 7, 7, 0, 0]);
-        (vector.time, vector.distances[0]) = (Instant(9_000_000), BEYOND);
+        (vector.time, vector.distances[0]) = (Instant(9_000_000), DistanceVector::BEYOND);
         layer.look(&vector, SIDE);
         assert_eq!(looked(&layer), [9; 5]);
     }

@@ -22,6 +22,7 @@ pub mod init;
 pub mod interruption;
 pub mod keeper;
 pub mod keys;
+mod labels;
 mod map_age;
 mod markers;
 pub mod member;

@@ -16,7 +16,7 @@ use super::{
     Outcome, RunError, figures,
     fleet::{Event, Fleet, Stage, Tap},
     heap::{BOUNDS, check_tiles},
-    markers,
+    labels, markers,
     options::ReplayOptions,
     progress::Progress,
     volatility,
@@ -66,7 +66,7 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     // The poses of a log are interpolated between scans: no course shows an error.
     let deployment = deployment::Config {
         corrects_errors: false,
-        labels: volatility::labels(options.run.labels.as_deref())?,
+        labels: labels::read(options.run.labels.as_deref())?,
         ..deployment::Config::new(options.resolution)
     };
     let deployment = Deployment::new(deployment, life)?;

@@ -24,6 +24,7 @@ use super::{
     fleet::{Bodies, Fleet},
     grey_robot::Sight,
     heap::{BOUNDS, check_tiles},
+    labels,
     map_age::MapAge,
     markers, network,
     options::{Knock, MotionName, SensorName, SimulateOptions},
@@ -84,7 +85,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
     let mut config = deployed(options, &scenario, &world);
-    config.labels = volatility::labels(options.run.labels.as_deref())?;
+    config.labels = labels::read(options.run.labels.as_deref())?;
     if !options.no_classes {
         config.labels.extend(scenario.labels()?);
     }

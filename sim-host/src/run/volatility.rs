@@ -1,29 +1,15 @@
-//! Labels, and the picture of how often each cell changes.
-
-use std::path::Path;
+//! How often each cell changes, for the picture.
 
 use ubimap_protocol::{
     tile::{Cell, TILE_SIDE, TileId},
     time::Instant,
 };
 
-use super::RunError;
 use crate::{
     deployment::Deployment,
-    grid::{Label, OccupancyGrid, read_labels},
+    grid::OccupancyGrid,
     mapping::{CellLabel, MapTime, interval_s},
 };
-
-/// The labels of a file, if one is given.
-///
-/// # Errors
-/// [`RunError::Labels`].
-pub(super) fn labels(path: Option<&Path>) -> Result<Vec<Label>, RunError> {
-    let read = |path: &Path| {
-        read_labels(path).map_err(|reason| RunError::Labels { path: path.to_owned(), reason })
-    };
-    path.map_or(Ok(Vec::new()), read)
-}
 
 /// The last known code of each cell of a deployment's map, and the expected time in seconds between its
 /// changes, row by row; `now` is by the deployment's caller. `None` for cells that were never known.

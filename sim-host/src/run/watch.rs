@@ -12,7 +12,7 @@ use ubimap_protocol::{
 };
 
 use super::{
-    Outcome, RunError, figures, floors, interruption, markers, options::WatchOptions,
+    Outcome, RunError, figures, floors, interruption, labels, markers, options::WatchOptions,
     progress::Progress, robots_file, terminal, volatility,
 };
 use crate::{
@@ -50,7 +50,7 @@ pub fn run(options: &WatchOptions) -> Result<Outcome<WatchReport>, RunError> {
         registry: registry.clone(),
         keeps_sightings: true,
         obstacle_heights: options.obstacles,
-        labels: volatility::labels(options.labels.as_deref())?,
+        labels: labels::read(options.labels.as_deref())?,
         ..Config::new(options.resolution)
     };
     let mut deployment = Deployment::new(config, Life::default())?;
@@ -122,7 +122,7 @@ impl<'f> Exposed<'f> {
         Ok(Self { frames, rule, counts: ExposureCounts::default() })
     }
 
-    /// The pixels looked at so far, if there is a rule.
+    /// How many pixels were looked at and left out; `None` without a rule.
     fn counts(&self) -> Option<ExposureSummary> {
         (self.rule != ExposureRule::Any).then(|| self.counts.into())
     }

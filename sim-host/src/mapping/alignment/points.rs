@@ -14,7 +14,7 @@ use ubimap_protocol::message::{DistanceVector, MAX_COLUMNS};
 pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
     let merged = vector.distances.len() == MAX_COLUMNS;
     let reading = |column: usize| match vector.distances.get(column) {
-        None | Some(0 | 255) => None,
+        None | Some(&(0 | DistanceVector::BEYOND)) => None,
         Some(&units) => Some(i32::from(units)),
     };
     let columns = 0..vector.distances.len();
@@ -35,7 +35,7 @@ pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
         let side = if merged { -0.3 * f64::from(slope.clamp(-4, 4)) / 4.0 } else { 0.0 };
         let bearing = vector.first.radians()
             + (column as f64 + side) * f64::from(vector.step) * TAU / 65_536.0;
-        let distance = f64::from(here) * 20.0;
+        let distance = f64::from(here * DistanceVector::UNIT.0);
         Some([distance * cos(bearing), distance * sin(bearing)])
     });
     found.collect()
