@@ -339,8 +339,9 @@ impl Server {
             let pose = self.corrections.fix(robot, captured, seen);
             self.surroundings.robot(robot, captured, pose);
             let (footprint, side) = (self.surroundings.footprint(robot), self.terms.resolution);
-            // Excludes cells that the robot covers only partly: they may contain a wall next to it.
-            self.map.stands(robot, captured, footprint.cells(pose, Millimetres(-side.0), side));
+            // Cells that the robot covers only partly may contain a wall next to it.
+            let within = |margin| footprint.cells(pose, Millimetres(margin), side);
+            self.map.stands(robot, captured, within(-side.0), within(side.0));
             if let Some(session) = self.ports.session_mut(robot) {
                 session.fix(captured, Sighting { pose, ..sighting });
             }

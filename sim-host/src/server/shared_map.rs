@@ -43,8 +43,8 @@ pub(super) struct SharedMap {
     ageing: BTreeSet<TileId>,
     /// Tiles with cells that cameras have seen recently, which expire.
     in_sight: BTreeSet<TileId>,
-    /// The cells below each robot, and when cameras saw it there.
-    under: BTreeMap<RobotId, (Instant, BTreeMap<TileId, Mask>)>,
+    /// Where cameras last saw each robot.
+    standing: BTreeMap<RobotId, Standing>,
     /// Tiles whose published cells depend on robots standing on them.
     hiding: BTreeSet<TileId>,
 }
@@ -136,11 +136,7 @@ impl SharedMap {
 
     /// The cells of a tile that are below robots, as cameras last saw the robots.
     pub(super) fn under(&self, id: TileId) -> Mask {
-        let mut under = Mask::default();
-        for mask in self.under.values().filter_map(|(_, masks)| masks.get(&id)) {
-            under.iter_mut().zip(mask).for_each(|(row, more)| *row |= more);
-        }
-        under
+        union(self.standing.values().map(|it| &it.under), id)
     }
 
     /// A tile fused without the layer of `robot`, or from all layers if `None`.
@@ -264,38 +260,40 @@ impl SharedMap {
             let (tile, sight) = self.whole.get(&beside(id, east, north)?)?;
             Some((tile, sight))
         });
-        let hides = clear(&mut tile, &self.under(id));
+        // Other robots draw a robot's outline, and no camera sees beside it that nothing else is there.
+        let mut clears = union(self.standing.values().map(|it| &it.around), id);
+        let seen = self.cameras.tile(id);
+        for (y, (mask, under)) in clears.iter_mut().zip(self.under(id)).enumerate() {
+            let row = seen.row(y);
+            *mask = *mask & row.low & !row.high | under;
+        }
+        let hides = clear(&mut tile, &clears);
         set_member(&mut self.hiding, id, hides);
         self.volatility.note(id, &tile, self.time);
         self.fused.set(id, tile);
     }
 
-    /// Records the cells below a robot that a camera saw at `captured`.
+    /// Records that a camera saw a robot at `captured` on the cells `under`, and that it may touch those `around`.
     pub(super) fn stands(
         &mut self,
         robot: RobotId,
         captured: Instant,
-        cells: impl Iterator<Item = (i32, i32)>,
+        under: impl Iterator<Item = (i32, i32)>,
+        around: impl Iterator<Item = (i32, i32)>,
     ) {
-        let mut masks = BTreeMap::<TileId, Mask>::new();
-        for (x, y) in cells {
-            if let Some(id) = TileId::of_cell(x, y) {
-                let (west, south) = id.first_cell();
-                masks.entry(id).or_default()[(y - south) as usize] |= 1 << (x - west);
-            }
-        }
-        let (last, before) = self.under.entry(robot).or_default();
-        if captured < *last {
+        let standing = Standing { captured, under: masks(under), around: masks(around) };
+        let last = self.standing.entry(robot).or_default();
+        if captured < last.captured {
             return;
         }
-        *last = captured;
-        if *before == masks {
+        let before = core::mem::replace(last, standing);
+        let after = &self.standing[&robot];
+        if before.under == after.under && before.around == after.around {
             return;
         }
-        let before = core::mem::replace(before, masks.clone());
         let mut other: BTreeSet<TileId> =
-            before.into_keys().filter(|id| self.hiding.contains(id)).collect();
-        other.extend(masks.iter().filter_map(|(&id, mask)| {
+            before.around.into_keys().filter(|id| self.hiding.contains(id)).collect();
+        other.extend(after.around.iter().filter_map(|(&id, mask)| {
             let (_, tile) = self.fused.get(id)?;
             let hides = mask.iter().zip(tile.high).any(|(mask, high)| mask & high != 0);
             (hides || self.hiding.contains(&id)).then_some(id)
@@ -318,10 +316,10 @@ impl SharedMap {
         }
         self.time = time;
         let mut bared = BTreeSet::new();
-        self.under.retain(|_, (captured, masks)| {
-            let stands = now.since(*captured) <= ROBOT_GONE;
+        self.standing.retain(|_, standing| {
+            let stands = now.since(standing.captured) <= ROBOT_GONE;
             if !stands {
-                bared.extend(masks.keys().copied().filter(|id| self.hiding.contains(id)));
+                bared.extend(standing.around.keys().filter(|id| self.hiding.contains(id)));
             }
             stands
         });
@@ -362,6 +360,37 @@ impl SharedMap {
     }
 }
 
+/// Where a robot stands.
+#[derive(Debug, Default)]
+struct Standing {
+    captured: Instant,
+    /// The cells below the robot.
+    under: BTreeMap<TileId, Mask>,
+    /// These, and those that it touches or almost touches.
+    around: BTreeMap<TileId, Mask>,
+}
+
+/// Cells by tile; those beyond the map's range are left out.
+fn masks(cells: impl Iterator<Item = (i32, i32)>) -> BTreeMap<TileId, Mask> {
+    let mut masks = BTreeMap::<TileId, Mask>::new();
+    for (x, y) in cells {
+        if let Some(id) = TileId::of_cell(x, y) {
+            let (west, south) = id.first_cell();
+            masks.entry(id).or_default()[(y - south) as usize] |= 1 << (x - west);
+        }
+    }
+    masks
+}
+
+/// The cells of a tile that are in any of the masks.
+fn union<'a>(masks: impl Iterator<Item = &'a BTreeMap<TileId, Mask>>, id: TileId) -> Mask {
+    let mut all = Mask::default();
+    for mask in masks.filter_map(|masks| masks.get(&id)) {
+        all.iter_mut().zip(mask).for_each(|(row, more)| *row |= more);
+    }
+    all
+}
+
 /// The tile at this offset in tiles; `None` beyond the map's range.
 fn beside(id: TileId, east: i16, north: i16) -> Option<TileId> {
     Some(TileId { x: id.x.checked_add(east)?, y: id.y.checked_add(north)? })
@@ -372,5 +401,47 @@ fn set_member(set: &mut BTreeSet<TileId>, id: TileId, is_member: bool) {
         set.insert(id);
     } else {
         set.remove(&id);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ubimap_protocol::tile::{Cell, Stamp, TILE_CELLS, TILE_SIDE, Version};
+
+    #[test]
+    fn an_outline_drawn_by_others_is_cleared_where_cameras_see_floor() {
+        const ROBOT: RobotId = RobotId(7);
+        let (wall, ring) = ((12, 8), (10, 8));
+        let mut map = SharedMap::default();
+        let cells = (0..TILE_SIDE as i32).flat_map(|y| (0..TILE_SIDE as i32).map(move |x| (x, y)));
+        let cells = cells.map(|at| (at, if at == wall { Cell::Occupied } else { Cell::Free }));
+        let captured = Instant(1_000_000);
+        let seen = map.see(&Observation { captured, cells: cells.collect(), ..Default::default() });
+        map.changed(&seen);
+
+        let id = TileId { x: 0, y: 0 };
+        let mut drawn = Tile::UNKNOWN;
+        [ring, wall, (20, 20)]
+            .iter()
+            .for_each(|&(x, y)| drawn.set(x as usize, y as usize, Cell::Occupied));
+        let stamp = Stamp { epoch: Epoch(1), version: Version(1) };
+        let seconds = [5; TILE_CELLS as usize];
+        map.restore(RobotId(2), &TileRecord { id, stamp, cells: drawn, known: drawn, seconds });
+        let cell = |map: &SharedMap, (x, y): (i32, i32)| {
+            map.fused().get(id).unwrap().1.cell(x as usize, y as usize)
+        };
+        assert_eq!(cell(&map, ring), Cell::Occupied);
+
+        let square = |reach: i32| {
+            (8 - reach..=8 + reach).flat_map(move |y| (8 - reach..=8 + reach).map(move |x| (x, y)))
+        };
+        map.stands(ROBOT, Instant(6_000_000), square(1), square(4));
+        assert_eq!(cell(&map, ring), Cell::Free);
+        assert_eq!(cell(&map, wall), Cell::Occupied, "the cameras see it");
+        assert_eq!(cell(&map, (20, 20)), Cell::Occupied, "beyond the robot");
+        // It comes back when the robot leaves.
+        map.stands(ROBOT, Instant(7_000_000), [].into_iter(), [].into_iter());
+        assert_eq!(cell(&map, ring), Cell::Occupied);
     }
 }

@@ -218,12 +218,10 @@ impl Coordinator {
 
     fn survey(&mut self, situation: &Situation<'_>, now: Instant) {
         self.surveyed = now;
-        let clearances = self.settings.clearances;
-        let trodden = self.members.iter().zip(self.reservations.claims()).map(|(member, claim)| {
-            let radius = member.radius_m + clearances.wall_m + clearances.trodden_m;
-            Disc { centre: claim.position(), radius }
-        });
-        let trodden: Vec<Disc> = trodden.collect();
+        let places = self.members.iter().zip(self.reservations.claims());
+        let trodden: Vec<Disc> = places
+            .map(|(member, claim)| Disc { centre: claim.position(), radius: member.radius_m })
+            .collect();
         let Situation { fused, coverage, .. } = situation;
         self.ground =
             Ground::survey(fused, coverage, &trodden, self.floor.as_ref(), &self.settings);

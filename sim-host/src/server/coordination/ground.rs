@@ -19,6 +19,12 @@ pub(super) struct Disc {
     pub(super) radius: f64,
 }
 
+impl Disc {
+    pub(super) fn grown(self, metres: f64) -> Self {
+        Self { radius: self.radius + metres, ..self }
+    }
+}
+
 /// The known part of the floor, as a rectangle of cells with a border of unknown ones. Cells are
 /// indexed row by row from the south-west.
 #[derive(Clone, Debug)]
@@ -37,9 +43,9 @@ pub(super) struct Ground {
 }
 
 impl Ground {
-    /// Builds the ground from the map and the coverage. Unknown cells in `trodden`, the discs where
-    /// robots stand, are passable; cells that `floor` does not allow are walls, whatever is there.
-    /// `None` while no tile is known. Cost: 0.03 microseconds per cell.
+    /// Builds the ground from the map and the coverage. Nothing in `trodden`, the discs that robots
+    /// cover, is a wall, and unknown cells near them are passable; cells that `floor` does not allow are
+    /// walls, whatever is there. `None` while no tile is known. Cost: 0.03 microseconds per cell.
     pub(super) fn survey(
         fused: &ServedLayer,
         coverage: &ServedLayer,
@@ -54,7 +60,7 @@ impl Ground {
             ground.draw(id, fused, coverage);
         }
         let barred = floor.map(|floor| ground.bar(&extent, floor)).unwrap_or_default();
-        ground.measure(trodden, &barred, settings.survey.edge_cells);
+        ground.measure(trodden, &barred, settings);
         Some(ground)
     }
 
@@ -115,7 +121,8 @@ impl Ground {
 
     /// Computes the distances to walls and to movable cells. Unknown cells more than `edge_cells`
     /// from free ones count as walls.
-    fn measure(&mut self, trodden: &[Disc], barred: &[bool], edge_cells: u32) {
+    fn measure(&mut self, trodden: &[Disc], barred: &[bool], settings: &Settings) {
+        let (clearances, edge_cells) = (settings.clearances, settings.survey.edge_cells);
         let is_free: Vec<bool> = self.cells.iter().map(|it| *it == Cell::Free).collect();
         let is_wall = |(cell, to_free)| match cell {
             Cell::Unknown => to_free > edge_cells * edge_cells,
@@ -124,7 +131,10 @@ impl Ground {
         let to_free = squared_distances(&is_free, self.width);
         let mut is_wall: Vec<bool> = self.cells.iter().copied().zip(to_free).map(is_wall).collect();
         for disc in trodden {
-            self.within(disc, |at| is_wall[at] &= self.cells[at] != Cell::Unknown);
+            let near = disc.grown(clearances.wall_m + clearances.trodden_m);
+            self.within(&near, |at| is_wall[at] &= self.cells[at] != Cell::Unknown);
+            // Others have drawn its outline there while they did not know where it stands.
+            self.within(&disc.grown(self.side_m), |at| is_wall[at] = false);
         }
         for (is_wall, is_barred) in is_wall.iter_mut().zip(barred) {
             *is_wall |= is_barred;
@@ -368,7 +378,28 @@ mod tests {
         let at = |x, y| ground.at(Point::new(x, y)).unwrap();
         assert!(ground.is_blind(at(0.5, 0.8)) && !ground.is_blind(at(0.5, 0.2)));
         assert!(!ground.is_blind(at(-0.5, 0.8)));
-        assert!(ground.to_wall(at(0.5, 0.8)) >= 9 && ground.to_wall(at(0.5, 0.2)) == 0);
+        assert!(ground.to_wall(at(0.5, 0.8)) >= 9 && ground.to_wall(at(0.5, 0.1)) == 0);
+    }
+
+    #[test]
+    fn its_own_outline_does_not_shut_a_robot_in() {
+        let robot = Disc { centre: Point::new(-0.5, 0.8), radius: 0.2 };
+        let fused = layer(|x, y| {
+            let off = Point::new(f64::from(x) + 0.5, f64::from(y) + 0.5) * 0.05 - robot.centre;
+            match (off.norm() - robot.radius).abs() < 0.05 || y == 4 {
+                true => Cell::Occupied,
+                false => Cell::Free,
+            }
+        });
+        let walls = |trodden: &[Disc]| {
+            let ground = Ground::survey(&fused, &fused, trodden, None, &Settings::default());
+            let ground = ground.unwrap();
+            let to_wall = |x, y| ground.to_wall(ground.at(Point::new(x, y)).unwrap());
+            (to_wall(-0.5, 0.8), to_wall(-0.5, 0.22))
+        };
+        assert!(walls(&[]).0 <= 25 && walls(&[]).1 == 0);
+        // The next wall is the one in the south.
+        assert_eq!(walls(&[robot]), (12 * 12, 0));
     }
 
     #[test]

@@ -109,11 +109,11 @@ impl Coordinator {
         let room_m = member.radius_m + clearances.wall_m;
         let mut terrain = Terrain::new(ground, room_m, &self.settings);
         for (disc, _) in &self.held_up {
-            terrain.make_dear(&grown(disc, member.radius_m), costs.held_up);
+            terrain.make_dear(&disc.grown(member.radius_m), costs.held_up);
         }
         for disc in self.passers.iter().flat_map(|passer| &passer.discs) {
             let respect_m = member.radius_m + clearances.person_m;
-            terrain.make_dear(&grown(disc, respect_m), costs.standing);
+            terrain.make_dear(&disc.grown(respect_m), costs.standing);
         }
         for (other, claim) in self.standing(index) {
             let disc = Disc { centre: claim.end(), radius: claim.disc_m() + mine.disc_m() };
@@ -161,8 +161,4 @@ enum Outcome {
     /// There is a route, but other robots block it.
     NoRoom,
     NoWay,
-}
-
-fn grown(disc: &Disc, metres: f64) -> Disc {
-    Disc { radius: disc.radius + metres, ..*disc }
 }
