@@ -183,6 +183,14 @@ impl System {
         map["known"].as_f64().unwrap() * map["resolution_m"].as_f64().unwrap().powi(2)
     }
 
+    /// Whether no robot is on its way.
+    fn is_idle(&self) -> bool {
+        let Some(answer) = self.ask(&["status", "--json"]) else { return false };
+        let report: Value = serde_json::from_str(&answer).unwrap();
+        let robots = report["robots"].as_array().unwrap();
+        robots.iter().all(|robot| robot["doing"] == "has nothing to do")
+    }
+
     /// Calls the robots back into the cameras' view, stops them, ends all processes and compares the results
     /// with the truth.
     fn finish(mut self, server: Process, robots: Vec<Process>) -> Results {
@@ -193,7 +201,11 @@ impl System {
             let goes = || self.ask(&["go", &robot, &x, &y]).is_some();
             wait_for(&format!("robot {robot} to turn back"), goes);
         }
-        self.follow(20);
+        let began = Instant::now();
+        while began.elapsed() < PATIENCE && !self.is_idle() {
+            self.follow(1);
+        }
+        println!("the robots are back after {:.0} s", began.elapsed().as_secs_f64());
         self.ask(&["stop"]).unwrap();
         // They brake, and report where they stand.
         self.follow(5);

@@ -113,6 +113,8 @@ pub struct Steadiness {
     looks: u32,
     /// While it is steady, the drift; while it is out, the motion relative to `moved`.
     gathered: Motion,
+    /// The number of images of the drift, older ones in part.
+    images: f64,
     /// The motion relative to `moved` by the last images, and by the neighbours.
     recent: Motion,
     words: Motion,
@@ -145,6 +147,7 @@ impl Steadiness {
             since: Instant(0),
             looks: 0,
             gathered: Motion::UNKNOWN,
+            images: 0.0,
             recent: Motion::UNKNOWN,
             words: Motion::UNKNOWN,
             last_word: Instant(0),
@@ -270,7 +273,8 @@ impl Steadiness {
             Says::Steady(aligned) => {
                 self.view.learn(depths, captured);
                 let kept = libm::exp(-seconds / DRIFT_OVER_S);
-                self.gathered = self.gathered.faded(kept).with(&aligned.motion.faded(DRIFT_COUNTS));
+                self.gathered = self.gathered.faded(kept).with(&aligned.mean.faded(DRIFT_COUNTS));
+                self.images = self.images * kept + 1.0;
                 self.follow()
             }
         }
@@ -278,8 +282,10 @@ impl Steadiness {
 
     /// Follows a drift.
     fn follow(&mut self) -> Option<Change> {
-        // The noise of a new view would pass for a drift.
-        if !self.view.is_settled() || !is_beyond(&self.gathered, DRIFT, CLEAR_DRIFT) {
+        // The view has noise as well, which every image shows alike and which would pass for a drift.
+        let learnt = f64::from(self.view.images());
+        let known = self.gathered.faded(learnt / (learnt + self.images));
+        if !self.view.is_settled() || !is_beyond(&known, DRIFT, CLEAR_DRIFT) {
             return None;
         }
         let (drift, _) = self.gathered.estimate()?;
@@ -327,6 +333,7 @@ impl Steadiness {
     /// Forgets all that is relative to a motion that has been corrected.
     fn forget(&mut self) {
         self.gathered = Motion::UNKNOWN;
+        self.images = 0.0;
         self.recent = Motion::UNKNOWN;
         self.words = Motion::UNKNOWN;
         self.places.clear();

@@ -112,6 +112,23 @@ fn people_furniture_and_a_covered_lens_are_no_knock() {
     scene.assert_steady(&changed, 6);
 }
 
+/// As from a camera with half the pixels along each side: robots hardly stand out from its noise.
+#[test]
+fn neither_noise_nor_robots_that_drive_away_are_a_drift() {
+    let noise = DepthNoise::new(0.001, 0.009_5).unwrap();
+    let robot = |[x, y]: [f64; 2]| [[x - 0.17, y - 0.17, 0.0], [x + 0.17, y + 0.17, 0.15]];
+    let robots = [[0.8, 0.7], [1.3, 1.6], [2.0, 0.9]].map(robot);
+    let stated = lens(320, 240, [0.0, 0.0, 2.6], [1.6, 1.3, 0.0]);
+    let parked: Vec<Cuboid> = ROOM.into_iter().chain(robots).collect();
+    let (parked, away) = (render(&stated, 0.0, &parked), render(&stated, 0.0, &ROOM));
+    let mut watch = Steadiness::new(stated.intrinsics(), noise, *stated.pose());
+    for frame in 0..700 {
+        let image = noisy(if frame < 60 { &parked } else { &away }, &noise, frame, 980);
+        let change = watch.look(&image, Instant(frame * 200_000), false);
+        assert_eq!(change, None, "frame {frame}");
+    }
+}
+
 #[test]
 fn a_turn_above_a_bare_floor_is_told_by_neighbours() {
     let stated = lens(320, 240, [0.0, 0.0, 2.8], [0.0, 0.0, 0.0]);

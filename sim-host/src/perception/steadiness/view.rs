@@ -89,6 +89,9 @@ pub(super) struct Aligned {
     pub pose: Isometry3<f64>,
     /// The same, relative to the pose from which the alignment began.
     pub motion: Motion,
+    /// The same by plain means, as those of the view are: where noise is skewed, means differ from what Tukey's
+    /// biweight finds, by as much in every image.
+    pub mean: Motion,
     /// The part of the measured planes that it explains, and the part that is clearly farther than
     /// it should be.
     pub explained: f64,
@@ -126,6 +129,11 @@ impl View {
     /// Whether so many images were learnt that their noise hardly matters.
     pub(super) fn is_settled(&self) -> bool {
         self.is_learnt() && self.improved >= SETTLED
+    }
+
+    /// The number of images in the mean of a pixel.
+    pub(super) fn images(&self) -> u32 {
+        (IMAGES as u32).saturating_add(self.improved).min(MEAN_OF)
     }
 
     /// Learns from an image of a camera that stands still.
@@ -171,30 +179,34 @@ impl View {
         if seen.len() < LEAST_PLANES {
             return None;
         }
-        let mut pose = *from;
-        let mut information = Matrix6::zeros();
-        let mut way = Vector6::zeros();
-        for limit in LIMITS {
-            let mut gradient = Vector6::zeros();
-            information = Matrix6::zeros();
+        let step = |pose: &Isometry3<f64>, weight: &dyn Fn(f64) -> f64| {
+            let (mut information, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
             for (plane, ray, inverse) in &seen {
-                let (normal, expected) = plane.seen_from(&pose, ray);
+                let (normal, expected) = plane.seen_from(pose, ray);
                 let error = (inverse - expected) / plane.sigma;
-                let ratio = error / limit;
-                if ratio.abs() >= 1.0 {
+                let weight = weight(error);
+                if weight == 0.0 {
                     continue;
                 }
-                let weight = (1.0 - ratio * ratio).powi(2);
                 let (shift, turn) = (normal * expected, ray.cross(&normal));
                 let slope = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);
                 let slope = slope / plane.sigma;
                 information += slope * slope.transpose() * weight;
                 gradient += slope * (weight * error);
             }
+            let way = motion(&from.inv_mul(pose));
             let step = (information + prior()).try_inverse()? * (gradient - prior() * way);
-            pose *= transform(&step);
-            way = motion(&from.inv_mul(&pose));
+            let pose = pose * transform(&step);
+            Some((pose, Motion::new(&motion(&from.inv_mul(&pose)), information)))
+        };
+        let (mut pose, mut told) = (*from, Motion::UNKNOWN);
+        for limit in LIMITS {
+            (pose, told) = step(&pose, &|error| {
+                let ratio = (error / limit).clamp(-1.0, 1.0);
+                (1.0 - ratio * ratio).powi(2)
+            })?;
         }
+        let (_, mean) = step(&pose, &|error| if error.abs() < SAME { 1.0 } else { 0.0 })?;
         let errors = seen
             .iter()
             .map(|(plane, ray, inverse)| (inverse - plane.seen_from(&pose, ray).1) / plane.sigma);
@@ -203,7 +215,8 @@ impl View {
         };
         Some(Aligned {
             pose,
-            motion: Motion::new(&way, information),
+            motion: told,
+            mean,
             explained: part(|error| error.abs() < EXPLAINED),
             farther: part(|error| error < -SAME),
         })
