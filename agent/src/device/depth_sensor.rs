@@ -23,6 +23,76 @@ pub struct SensorCounters {
 }
 
 /// A driver of a depth sensor behind a port: a parser of its bytes, without input or output.
+///
+/// A sensor of one's own: three ultrasonic sensors on a small board, which sends `FF` and the distances
+/// to the left, ahead and to the right in centimetres.
+///
+/// ```
+/// use ubimap_agent::{
+///     Bounds, Config, Machine, Memory, Port,
+///     device::{DepthSensor, Scan, SensorCounters, create2::Create2},
+///     drive::NoDrive,
+///     memory,
+///     sense::SensorModel,
+/// };
+/// use ubimap_protocol::{time::Instant, units::RobotId};
+///
+/// #[derive(Default)]
+/// struct Sonars {
+///     /// Number of distances of the current frame.
+///     received: usize,
+///     readings: [u16; 3],
+///     counters: SensorCounters,
+/// }
+///
+/// impl DepthSensor for Sonars {
+///     fn receive(&mut self, bytes: &mut &[u8], now: Instant) -> Option<Scan<'_>> {
+///         loop {
+///             let (&byte, rest) = bytes.split_first()?;
+///             *bytes = rest;
+///             if byte == 0xFF {
+///                 self.counters.torn += u32::from(self.received % 3 != 0);
+///                 self.received = 0;
+///             } else if let Some(reading) = self.readings.get_mut(self.received) {
+///                 *reading = u16::from(byte) * 10;
+///                 self.received += 1;
+///                 if self.received == 3 {
+///                     self.counters.frames += 1;
+///                     return Some(Scan { taken: now, readings: &self.readings });
+///                 }
+///             }
+///         }
+///     }
+///
+///     fn poll_transmit(&mut self, _: Instant, _: &mut [u8]) -> Option<usize> {
+///         None
+///     }
+///
+///     fn poll_timeout(&self) -> Instant {
+///         Instant(u64::MAX)
+///     }
+///
+///     fn counters(&self) -> SensorCounters {
+///         self.counters
+///     }
+/// }
+///
+/// // The first beam looks 45 degrees to the left, the others follow clockwise.
+/// const SONARS: SensorModel = SensorModel::Radial { first: 0.785, step: -0.785 };
+/// const BOUNDS: Bounds = Bounds { readings: 3, ..Bounds::SMALL };
+///
+/// let config = Config::new(RobotId(1), SONARS, BOUNDS);
+/// let mut memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
+/// let mut machine: Machine<'_, _, _, NoDrive> =
+///     Machine::new(config, &mut memory, Sonars::default(), Create2::new())?;
+/// // Half a frame, a whole one in two pieces, and the start of the next.
+/// machine.receive(Port::Sensor, &[0xFF, 80, 0xFF, 120], Instant(1_000));
+/// machine.receive(Port::Sensor, &[0, 95, 0xFF], Instant(2_000));
+/// assert_eq!(machine.sensor().readings, [1_200, 0, 950]);
+/// assert_eq!((machine.sensor().counters().frames, machine.sensor().counters().torn), (1, 1));
+/// assert_eq!(machine.robot().statistics().scans, 1);
+/// # Ok::<(), Box<dyn core::error::Error>>(())
+/// ```
 pub trait DepthSensor {
     /// Processes bytes that had arrived by `now`, from the front of `bytes`, up to the end of the
     /// next complete frame. `None`: all bytes are used up.

@@ -3,6 +3,7 @@
 //! | file | device |
 //! |---|---|
 //! | [`a010`] | the depth camera Sipeed MaixSense A010 |
+//! | [`ld06`] | the lidar LDROBOT LD06 |
 //! | [`create2`] | the mobile base iRobot Create 2 |
 //! | [`pwm_motors`] | two DC motors with encoders, on drivers with direction pins and PWM |
 //! | [`diff_drive`] | the geometry of two driven wheels |
@@ -15,6 +16,7 @@ pub mod a010;
 pub mod create2;
 mod depth_sensor;
 pub mod diff_drive;
+pub mod ld06;
 pub mod pwm_motors;
 mod wheels;
 

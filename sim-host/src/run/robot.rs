@@ -1,6 +1,6 @@
 //! `ubimap robot`: the robot's program on a computer with serial ports, such as a Raspberry Pi. The same
-//! machine as in the firmware reads an A010 depth camera and drives a Create 2; its link to the server is
-//! a serial port, UDP or TCP.
+//! machine as in the firmware reads an A010 depth camera or an LD06 lidar and drives a Create 2; its link to
+//! the server is a serial port, UDP or TCP.
 
 use std::{
     path::{Path, PathBuf},
@@ -11,7 +11,11 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 use ubimap_agent::{
     Bounds, Config, Machine, Memory, Port, Seal,
-    device::{a010::A010, create2::Create2},
+    device::{
+        DepthSensor,
+        create2::Create2,
+        ld06::{self, Ld06},
+    },
     drive::{Driving, Gaze, Motion, StopReason},
     sense::SensorModel,
 };
@@ -40,8 +44,12 @@ use crate::{
     report::OutputFile,
 };
 
-/// Speed of serial ports in bits per second.
+/// Speed of serial ports, other than a lidar's, in bits per second.
 const BAUD: u32 = 115_200;
+/// The beginning of `sensor` for a lidar.
+const LIDAR: &str = "ld06:";
+/// Number of readings in a lidar's scan: one per degree.
+const LIDAR_READINGS: usize = 360;
 /// Interval between attempts to open a port that has hung up.
 const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Maximum wait for an arrival, so that signals are noticed.
@@ -69,12 +77,13 @@ pub struct RobotOptions {
 /// # keys = "keys"                   # seals the link with keys/1.key; beside this file, one with the ending
 ///                                   # .boot then counts the boots: keep it
 /// sensor = "/dev/ttyUSB0"           # an A010 depth camera at 115,200 bits per second
+///                                   # or ld06:/dev/ttyUSB0, an LD06 lidar at 230,400, its arrow ahead
 /// wheels = "/dev/ttyUSB1"           # a Create 2
 /// radius_m = 0.17
 /// speed_m_s = 0.45
 /// turn_rad_s = 1.3
 /// sensor_at_m = [0.1, 0.0]          # ahead of the middle between the wheels, and to its left
-/// fov_deg = 70.0
+/// fov_deg = 70.0                    # of the depth camera; a lidar sees all around
 /// max_range_m = 2.5
 /// resolution_m = 0.05               # the server's
 /// ```
@@ -91,7 +100,7 @@ pub struct RobotFile {
     /// The folder with the robot's key, for a sealed link.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub keys: Option<PathBuf>,
-    /// The port of the A010 depth camera.
+    /// The port of the A010 depth camera; after `ld06:`, that of an LD06 lidar.
     pub sensor: PathBuf,
     /// The port of the Create 2.
     pub wheels: PathBuf,
@@ -171,22 +180,32 @@ impl RobotFile {
         }
     }
 
-    /// The sensor's model, for images with this number of columns.
-    fn model(&self, columns: usize) -> SensorModel {
+    /// The port of the LD06, if the sensor is one.
+    fn lidar(&self) -> Option<&Path> {
+        self.sensor.to_str()?.strip_prefix(LIDAR).map(Path::new)
+    }
+
+    /// The sensor's model, and the number of its readings.
+    fn model(&self) -> (SensorModel, usize) {
+        if self.lidar().is_some() {
+            return (Ld06::sensor(LIDAR_READINGS), LIDAR_READINGS);
+        }
+        let columns = CAMERA.binning.side();
         let focal = columns as f64 / 2.0 / (self.fov_deg / 2.0).to_radians().tan();
-        SensorModel::Pinhole { focal: focal as f32, centre: (columns - 1) as f32 / 2.0 }
+        let centre = (columns - 1) as f32 / 2.0;
+        (SensorModel::Pinhole { focal: focal as f32, centre }, columns)
     }
 
     fn config(&self, boot_nonce: u32) -> Config<Option<Driving>> {
-        let columns = CAMERA.binning.side();
+        let (model, readings) = self.model();
         let bounds = Bounds {
-            readings: columns,
+            readings,
             resolution: Millimetres::from_metres(self.resolution_m),
             max_range: (self.max_range_m * 1_000.0) as u16,
             ..BOUNDS
         };
         let [x, y] = self.sensor_at_m;
-        let config = Config::new(RobotId(self.id), self.model(columns), bounds);
+        let config = Config::new(RobotId(self.id), model, bounds);
         let config = Config { boot_nonce, mounting: Pose::from_metres(x, y, 0.0), ..config };
         let radius = (self.radius_m * 1_000.0).ceil() as u16;
         let motion = Motion {
@@ -195,7 +214,8 @@ impl RobotFile {
             top_turn: self.turn_rad_s as f32,
             ..Motion::default()
         };
-        let half_view = (self.fov_deg / 2.0).to_radians() as f32;
+        let view_deg = if self.lidar().is_some() { 360.0 } else { self.fov_deg };
+        let half_view = (view_deg / 2.0).to_radians() as f32;
         let gaze = Gaze { half_view, reach: bounds.max_range, radius };
         config.with_drive(Some(Driving { motion, looks_at_goal: Some(gaze), ..Driving::default() }))
     }
@@ -258,7 +278,7 @@ impl Line {
     }
 }
 
-type Robot<'b> = Machine<'b, A010<'b>, Create2, Option<Driving>>;
+type Robot<'b, S> = Machine<'b, S, Create2, Option<Driving>>;
 
 /// Runs the robot until a signal interrupts; then its wheels stand.
 ///
@@ -276,14 +296,10 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
     let config = file.config(getrandom::u32().map_err(RunError::Randomness)?);
     let config = Config { seal, ..config };
     let mut memory = Memory::<Heap, Option<Driving>>::new(&config.bounds);
-    let mut buffer = [0; BUFFER];
-    let camera = body::camera(config.sensor, &mut buffer)
-        .ok_or_else(|| refuse("fov_deg: no image of the A010 has such optics".into()))?;
-    let mut machine = Machine::new(config, &mut memory, camera, Create2::new())?;
-    let serial = |path: PathBuf| move || Ok(SerialPort::open(&path, BAUD)?.into_wire());
-    let device = |port, path: &Path| {
+    let device = |port, path: &Path, baud| {
         let path = beside.join(path);
-        Line::new(port, path.display().to_string(), serial(path))
+        let name = path.display().to_string();
+        Line::new(port, name, move || Ok(SerialPort::open(&path, baud)?.into_wire()))
     };
     let local = file.local;
     let link = Line::new(Port::Server, server.to_string(), move || match &server {
@@ -291,8 +307,24 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
         Address::Udp(address) => Ok(UdpLink::open(*address, local)?.into_wire()),
         Address::Tcp(address) => tcp::connect(*address, CONNECT),
     });
-    let lines = [link, device(Port::Sensor, &file.sensor), device(Port::Wheels, &file.wheels)];
-    Program { lines, intake: Intake::default(), started: time::Instant::now() }.run(&mut machine);
+    let wheels = device(Port::Wheels, &file.wheels, BAUD);
+    let program = |sensor| Program {
+        lines: [link, sensor, wheels],
+        intake: Intake::default(),
+        started: time::Instant::now(),
+    };
+    if let Some(path) = file.lidar() {
+        let mut sectors = [0; LIDAR_READINGS];
+        let lidar = Ld06::new(&mut sectors);
+        let mut machine = Machine::new(config, &mut memory, lidar, Create2::new())?;
+        program(device(Port::Sensor, path, ld06::BAUD)).run(&mut machine);
+        return Ok(());
+    }
+    let mut buffer = [0; BUFFER];
+    let camera = body::camera(config.sensor, &mut buffer)
+        .ok_or_else(|| refuse("fov_deg: no image of the A010 has such optics".into()))?;
+    let mut machine = Machine::new(config, &mut memory, camera, Create2::new())?;
+    program(device(Port::Sensor, &file.sensor, BAUD)).run(&mut machine);
     Ok(())
 }
 
@@ -327,7 +359,7 @@ impl Program {
         Instant(self.started.elapsed().as_micros() as u64)
     }
 
-    fn run(mut self, machine: &mut Robot<'_>) {
+    fn run(mut self, machine: &mut Robot<'_, impl DepthSensor>) {
         while !interruption::is_requested() {
             self.turn(machine);
         }
@@ -337,7 +369,7 @@ impl Program {
         // The lines are dropped when the queued bytes are written.
     }
 
-    fn turn(&mut self, machine: &mut Robot<'_>) {
+    fn turn(&mut self, machine: &mut Robot<'_, impl DepthSensor>) {
         let now = self.now();
         for line in &mut self.lines {
             line.look_after(&mut self.intake, now);
@@ -368,7 +400,7 @@ impl Program {
     }
 
     /// Writes what is due at each port.
-    fn drain(&mut self, machine: &mut Robot<'_>) {
+    fn drain(&mut self, machine: &mut Robot<'_, impl DepthSensor>) {
         let now = self.now();
         let mut bytes = [0; DEFAULT_FRAME];
         for line in &mut self.lines {
@@ -394,6 +426,10 @@ mod tests {
         let config = file.config(1);
         assert_eq!((config.robot, config.bounds.max_range), (RobotId(7), 2_500));
         assert_eq!(toml::from_str::<RobotFile>(&toml::to_string(&file).unwrap()).unwrap().id, 7);
+        let lidar = read(&ROBOT.replace("\"a\"", "\"ld06:a\"")).unwrap();
+        let config = lidar.config(1);
+        assert_eq!(lidar.lidar(), Some(Path::new("a")));
+        assert_eq!((config.sensor, config.bounds.readings), (Ld06::sensor(360), 360));
         for (text, told) in [
             ("fov_deg = 200.0", "fov_deg: 200 must be from 5 to 170"),
             ("radius = 1", "line 5: unknown field `radius`"),

@@ -1,9 +1,10 @@
-//! The firmware of a robot with an A010 depth camera on an iRobot Create 2, which maps and drives.
+//! The firmware of a robot with an A010 depth camera (with the feature `ld06`, an LD06 lidar) on an iRobot Create 2, which maps and drives.
 #![no_std]
 #![no_main]
 
 #[path = "../../board/mod.rs"]
 mod board;
+#[cfg_attr(feature = "ld06", path = "lidar.rs")]
 mod configuration;
 mod driving;
 mod journal;

@@ -6,7 +6,7 @@ use cortex_m::peripheral::SCB;
 use embedded_hal::{delay::DelayNs, digital::OutputPin};
 use ubimap_agent::{
     ConfigError, Machine, Memory, Port, Storage,
-    device::{a010::A010, create2::Create2},
+    device::{DepthSensor, create2::Create2},
     drive::Drive,
     journal::Entry,
 };
@@ -52,7 +52,7 @@ fn machine<D: Drive>(
     drive: D,
     memory: &'static mut Memory<impl Storage, D>,
     slice: &'static mut [u16],
-) -> Option<Result<Machine<'static, A010<'static>, Create2, D>, ConfigError>> {
+) -> Option<Result<Machine<'static, impl DepthSensor, Create2, D>, ConfigError>> {
     let sensor = configuration::sensor(slice)?;
     let config = configuration::config(boot_nonce).with_drive(drive);
     Some(Machine::new(config, memory, sensor, Create2::new()))
@@ -62,7 +62,7 @@ fn machine<D: Drive>(
 /// byte.
 fn turn<D: Drive>(
     board: &mut Board,
-    machine: &mut Machine<'_, A010<'_>, Create2, D>,
+    machine: &mut Machine<'_, impl DepthSensor, Create2, D>,
     mut journal: Journal,
 ) -> ! {
     let mut bytes = [0; DEFAULT_FRAME];
