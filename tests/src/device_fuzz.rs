@@ -6,13 +6,14 @@ use ubimap_agent::{
         DepthSensor, Wheels,
         a010::{A010, A010Config},
         create2::Create2,
+        ld06::Ld06,
     },
     drive::DriveCommand,
     sense::{Camera, Pick, Slice, Slicer, Validity},
 };
 use ubimap_protocol::time::{Duration, Instant};
 
-/// Passes bytes to the drivers of a depth camera and of a mobile base. The first byte is the length
+/// Passes bytes to the drivers of a depth camera, a lidar and a mobile base. The first byte is the length
 /// of the pieces; between two pieces some milliseconds pass, and commands are sent.
 pub fn devices(data: &[u8]) {
     let Some((&length, data)) = data.split_first() else { return };
@@ -25,6 +26,9 @@ pub fn devices(data: &[u8]) {
     let (Ok(slicer), mut base) = (slicer, Create2::new()) else { return };
     let Ok(mut sensor) = A010::new(config, slicer) else { return };
 
+    let mut sectors = [0; 90];
+    let mut lidar = Ld06::new(&mut sectors);
+
     let (mut now, mut out) = (Instant(1), [0; 32]);
     let (mut scans, mut reports) = (0, 0);
     for piece in data.chunks(usize::from(length).max(1)) {
@@ -34,6 +38,11 @@ pub fn devices(data: &[u8]) {
             assert_eq!(scan.readings.len(), side);
             assert!(scan.taken <= now);
             scans += 1;
+        }
+        assert!(bytes.is_empty());
+        let mut bytes = piece;
+        while let Some(scan) = lidar.receive(&mut bytes, now) {
+            assert!(scan.taken <= now && scan.readings.len() == 90);
         }
         assert!(bytes.is_empty());
         let mut bytes = piece;
