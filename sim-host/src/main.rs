@@ -23,6 +23,7 @@ use ubimap_sim_host::{
         decode::{self, DecodeOptions},
         init::{self, InitOptions},
         interruption, keys,
+        marker_sheet::{self, MarkersOptions},
         options::{
             BackupOptions, CompareOptions, KeysOptions, ReplayOptions, ResultOptions, ServeOptions,
             SimulateOptions, Verbosity, WatchOptions,
@@ -81,6 +82,8 @@ enum Command {
     Rig(RigOptions),
     /// Write a commented deployment for serve
     Init(InitOptions),
+    /// Draw sheets of the robots' markers to print, with the lines of the deployment that go with them
+    Markers(MarkersOptions),
     /// Send a robot of the running server to a place
     Go(GoOptions),
     /// Stop a robot of the running server, or all
@@ -158,6 +161,7 @@ fn main() -> ExitCode {
         Command::Rig(options) => rig::run(&options).and_then(|it| answered(&json_pretty(&it))),
         Command::Record(options) => recording::run(&options).and_then(|it| answered(&it)),
         Command::Init(options) => init(&options),
+        Command::Markers(options) => marker_sheet::run(&options).and_then(|it| answered(&it)),
         Command::Go(options) => options.run().and_then(|answer| answered(&answer)),
         Command::Stop(options) => options.run("stop").and_then(|answer| answered(&answer)),
         Command::Explore(options) => options.run("explore").and_then(|answer| answered(&answer)),

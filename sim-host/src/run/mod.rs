@@ -24,6 +24,7 @@ pub mod keeper;
 pub mod keys;
 mod labels;
 mod map_age;
+pub mod marker_sheet;
 mod markers;
 pub mod member;
 mod network;
@@ -177,6 +178,9 @@ pub enum RunError {
     /// A serial port can't be opened.
     #[error(transparent)]
     Port(#[from] WireError),
+    /// Markers can't be printed as asked.
+    #[error("{0}")]
+    Markers(String),
     /// There is no check with this number.
     #[error("--only {number}: there is no such check; --list shows 1 to {checks}")]
     NoCheck {
@@ -301,6 +305,7 @@ impl RunError {
             | Self::Store(_)
             | Self::Scenario(_)
             | Self::Port(_)
+            | Self::Markers(_)
             | Self::NoCheck { .. }
             | Self::Capture { .. }
             | Self::Unsealed { .. }

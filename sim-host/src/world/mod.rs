@@ -36,7 +36,7 @@ mod sensor;
 mod shapes;
 mod stereo;
 mod streams;
-mod tag;
+pub mod tag;
 mod tour;
 mod truth;
 

@@ -4,10 +4,10 @@
 //! by a white margin of one module.
 
 /// Side of the black square in modules.
-pub(super) const SQUARE: usize = 8;
+pub const SQUARE: usize = 8;
 
 /// Side including the margin in modules.
-pub(super) const SIDE: usize = SQUARE + 2;
+pub const SIDE: usize = SQUARE + 2;
 
 /// Number of tags of the family that are available here.
 pub const TAGS: usize = CODES.len();
@@ -81,8 +81,8 @@ const CODES: [u64; 64] = [
 ];
 
 /// Which modules of a tag are white: rows from the top, each from the left, including the margin. `None` for
-/// a number that is not available here.
-pub(super) fn pattern(id: usize) -> Option<[[bool; SIDE]; SIDE]> {
+/// a number that is not available here. The upper edge is the front of the robot that wears the tag.
+pub fn pattern(id: usize) -> Option<[[bool; SIDE]; SIDE]> {
     let code = CODES.get(id)?;
     let mut white = [[true; SIDE]; SIDE];
     for row in &mut white[1..SIDE - 1] {
