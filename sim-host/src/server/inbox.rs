@@ -7,14 +7,15 @@ use ubimap_protocol::{
     },
     tile::{Layer, tile_hash},
     time::{Duration, Instant},
+    units::Pose,
 };
 
 use super::{session::Session, surroundings::Surroundings, unread::Unread};
 use crate::mapping::{RobotLayer, Updated};
 
-/// Deviations of the pose at which a robot was last heard of before it booted: those at which it does not drive
-/// (15 cm) and does not map (6 degrees).
-const HEARSAY: Certainty = Certainty { x: 150, y: 150, heading: 1_092 };
+/// Deviations of the pose at which a robot was last heard of before it booted: it neither drives nor maps at
+/// these. Its base may have gone on turning until it noticed, so that any heading is possible.
+const HEARSAY: Certainty = Certainty { x: 250, y: 250, heading: 16_384 };
 
 /// Time without a pose after which no camera sees a robot that does not know its pose.
 const UNSEEN: Duration = Duration::from_secs(1);
@@ -30,6 +31,8 @@ pub(super) struct Taken {
     pub(super) unread: Vec<Unread>,
     /// Number of tiles in updates whose state was old.
     pub(super) late: u32,
+    /// Where the robot was before it booted, if it has just been told so.
+    pub(super) hearsay: Option<Pose>,
 }
 
 impl Taken {
@@ -116,6 +119,7 @@ impl<'a> Inbox<'a> {
             self.surroundings.robot(self.session.robot(), now, pose);
             let (certainty, source) = (HEARSAY, FixSource::MapMatch);
             let earlier = Default::default();
+            self.taken.hearsay = Some(pose);
             self.session.matched(PoseFix { time: now, pose, certainty, source, earlier });
         }
     }

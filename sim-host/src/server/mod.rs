@@ -315,6 +315,9 @@ impl Server {
         for event in taken.events {
             self.events.add_from(port, now, Event::Reported(robot, event));
         }
+        if let Some(pose) = taken.hearsay {
+            self.corrections.seek(robot, pose);
+        }
         let must_ask = self.voided.concerns(robot) && self.is_level(robot);
         let Some(session) = self.ports.session_mut(robot) else { return };
         if must_ask {

@@ -10,6 +10,8 @@ use super::{
 
 /// Step of the tried headings in binary angle units: 1.4 degrees, which is 1.5 cells at 4 m.
 const TURN_STEP: i32 = 256;
+/// Number of these steps in a full turn.
+const FULL_TURN: i32 = 65_536 / TURN_STEP;
 /// Minimum score of a rival, in per cent of the best score.
 pub(super) const RIVAL_SCORE: i32 = 88;
 /// Candidates at most this many cells apart, along x and y, count as the same place.
@@ -107,7 +109,7 @@ pub(super) fn candidates(
     heading: Angle,
     search: Search,
 ) -> Vec<Candidate> {
-    let turns = (i32::from(search.turn.0) / TURN_STEP).clamp(0, 32);
+    let turns = (i32::from(search.turn.0) / TURN_STEP).clamp(0, FULL_TURN / 2);
     let cells = libm::ceil(f64::from(search.position.0) / surfaces.resolution()) as i32;
     let cells = cells.clamp(0, 20);
     let (far, wide) = search.deviations();
@@ -144,8 +146,8 @@ pub(super) fn rivals(candidates: &[Candidate], best: &Candidate) -> Vec<Candidat
     for candidate in good {
         let same = |place: &Candidate| {
             let (dx, dy) = (candidate.cells.0 - place.cells.0, candidate.cells.1 - place.cells.1);
-            (candidate.turns - place.turns).abs() <= RIVAL_TURNS
-                && dx.abs().max(dy.abs()) <= RIVAL_CELLS
+            let turned = (candidate.turns - place.turns).rem_euclid(FULL_TURN);
+            turned.min(FULL_TURN - turned) <= RIVAL_TURNS && dx.abs().max(dy.abs()) <= RIVAL_CELLS
         };
         if places.len() < MAX_PLACES && !places.iter().any(same) {
             places.push(candidate);

@@ -174,7 +174,8 @@ mod tests {
 
     #[test]
     fn the_seed_is_written_and_nothing_else() {
-        let forms: [fn(&[u8]) -> Vec<u8>; 3] = [<[u8]>::to_vec, uf2, elf];
+        type Form = fn(&[u8]) -> Vec<u8>;
+        let forms: [Form; 3] = [<[u8]>::to_vec, uf2, elf];
         for (index, form) in forms.into_iter().enumerate() {
             let mut image = form(&flash());
             patch(&mut image, &SEED).unwrap();

@@ -32,6 +32,8 @@ pub(super) struct BlindTrip {
     /// known from cameras or a match.
     way_mm: f64,
     turned: f64,
+    /// Whether the heading is unknown, until the first match.
+    is_turned: bool,
 }
 
 impl BlindTrip {
@@ -39,13 +41,27 @@ impl BlindTrip {
     /// `unseen`.
     pub(super) fn after(unseen: Duration, last: Pose) -> Self {
         let metres = (unseen.micros() as f64 / 1e6).min(UNHEARD_M);
-        Self { trail: Trail::default(), last, way_mm: 1_000.0 * metres, turned: 0.0 }
+        Self {
+            trail: Trail::default(),
+            last,
+            way_mm: 1_000.0 * metres,
+            turned: 0.0,
+            is_turned: false,
+        }
+    }
+
+    /// Starts the trip of a robot that has booted somewhere about a pose.
+    pub(super) fn about(pose: Pose) -> Self {
+        let way_mm = 1_000.0 * UNHEARD_M;
+        Self { is_turned: true, way_mm, ..Self::after(Duration::default(), pose) }
     }
 
     /// Adds points to the trail. Called while the robot has only just left the view, so that its
     /// pose is still accurate.
     pub(super) fn remember(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
-        self.trail.add(pose, points, resolution);
+        if !self.is_turned {
+            self.trail.add(pose, points, resolution);
+        }
     }
 
     /// Finds the pose from which the robot saw the points of a distance vector, and adds them to
@@ -70,11 +86,17 @@ impl BlindTrip {
             tile
         };
         let surfaces = Surfaces::about(vector.pose, reach, resolution, drawn, &self.trail);
-        let found = surfaces.find(points, vector.pose, search);
-        let pose = found.map_or(vector.pose, |found| found.pose);
-        self.trail.add(pose, points, resolution);
+        let found = match self.is_turned {
+            true => surfaces.find_in_any_heading(points, vector.pose),
+            false => surfaces.find(points, vector.pose, search),
+        };
         if found.is_some() {
-            (self.way_mm, self.turned) = (0.0, 0.0);
+            (self.way_mm, self.turned, self.is_turned) = (0.0, 0.0, false);
+        }
+        // What is seen in an unknown heading would mislead the next search.
+        if !self.is_turned {
+            let pose = found.map_or(vector.pose, |found| found.pose);
+            self.trail.add(pose, points, resolution);
         }
         found
     }

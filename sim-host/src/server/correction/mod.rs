@@ -64,6 +64,11 @@ impl Corrections {
         self.robots.entry(robot).or_default().fix(captured, seen)
     }
 
+    /// Seeks a robot around a pose, in any heading.
+    pub(super) fn seek(&mut self, robot: RobotId, about: Pose) {
+        self.robots.entry(robot).or_default().seek(about);
+    }
+
     /// The robot whose distance vector has waited longest.
     pub(super) fn poll_waiting(&mut self) -> Option<RobotId> {
         self.waiting.pop_front()

@@ -79,6 +79,11 @@ impl RobotCorrection {
         pose
     }
 
+    /// Begins a trip of the robot around a pose, in an unknown heading.
+    pub(super) fn seek(&mut self, about: Pose) {
+        self.blind = Some(BlindTrip::about(about));
+    }
+
     /// Processes a distance vector of the robot. Cost: some milliseconds.
     pub(super) fn look(
         &mut self,
