@@ -45,7 +45,7 @@ fn the_image_says_its_number_and_without_one_moves_nothing() {
     println!("flash: {} bytes", elf.flash);
 
     let [server, wheels] = said(&image);
-    assert!(hello(&server, &folder).contains("robot 0"), "{}", hello(&server, &folder));
+    assert!(hello(&server, &folder).contains("robot: 0,"), "{}", hello(&server, &folder));
     assert_eq!(wheels, b"");
 
     let provision = |arguments: &[&str]| {
@@ -55,7 +55,7 @@ fn the_image_says_its_number_and_without_one_moves_nothing() {
     };
     provision(&["--id", "1234", "--set", "mounting-x=77"]);
     let [server, wheels] = said(&image);
-    assert!(hello(&server, &folder).contains("robot 1234"), "{}", hello(&server, &folder));
+    assert!(hello(&server, &folder).contains("robot: 1234,"), "{}", hello(&server, &folder));
     assert_ne!(wheels, b"");
 
     let dir = folder.join("keys");
