@@ -4,16 +4,12 @@ use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
 use embedded_hal::{delay::DelayNs, digital::OutputPin};
-#[cfg(feature = "flash")]
-use ubimap_agent::flash::Identity;
 use ubimap_agent::{
-    Config, ConfigError, Machine, Memory, Port, Storage,
+    ConfigError, Machine, Memory, Port, Storage,
     device::{DepthSensor, create2::Create2},
     drive::Drive,
     journal::Entry,
 };
-#[cfg(feature = "flash")]
-use ubimap_protocol::units::RobotId;
 use ubimap_protocol::{frame::DEFAULT_FRAME, time::Instant};
 
 use crate::{
@@ -35,58 +31,31 @@ pub(crate) fn run<D: Drive>(
 ) -> ! {
     let nonce = (board.nonce ^ board.nonce >> 32) as u32;
     // Borrowed, because moving it would take twice its size of stack.
-    let mut config = configuration::config(nonce);
-    let Some(is_known) = identify(&board, &mut config) else { fail(&mut board, Fault::Flash) };
-    // A robot that does not know its number says so to the server, and has no devices.
-    let served = if is_known { &PORTS[..] } else { &PORTS[..1] };
-    match &mut machine(config, drive, memory, slice) {
+    match &mut machine(nonce, drive, memory, slice) {
         Some(Ok(machine)) => {
             if board.was_reset_by_watchdog {
                 machine.report_watchdog(board.clock.now());
             }
             let journal = Journal::begin(&mut board.journal, nonce);
-            turn(&mut board, machine, journal, served)
+            turn(&mut board, machine, journal)
         }
         Some(Err(_)) => fail(&mut board, Fault::Robot),
         None => fail(&mut board, Fault::Sensor),
     }
 }
 
-/// Completes a configuration by what the board's flash says. Returns whether that is known; `None` if the
-/// flash must not be relied on.
-#[cfg(feature = "flash")]
-fn identify(board: &Board, config: &mut Config) -> Option<bool> {
-    match &board.identity {
-        Identity::Known(record, seal) => {
-            (config.robot, config.seal) = (record.robot, *seal);
-            config.set(&record.parameters);
-            Some(true)
-        }
-        Identity::Unknown => {
-            config.robot = RobotId(0);
-            Some(false)
-        }
-        Identity::NotKept => None,
-    }
-}
-
-/// Without the feature `flash` the configuration is complete.
-#[cfg(not(feature = "flash"))]
-fn identify(_: &Board, _: &mut Config) -> Option<bool> {
-    Some(true)
-}
-
 /// The robot with its devices; `None` if the slice is not one of the sensor's images.
 // Not inlined, so that the parts that it is made of leave the stack. The result is written in place.
 #[inline(never)]
 fn machine<D: Drive>(
-    config: Config,
+    boot_nonce: u32,
     drive: D,
     memory: &'static mut Memory<impl Storage, D>,
     slice: &'static mut [u16],
 ) -> Option<Result<Machine<'static, impl DepthSensor, Create2, D>, ConfigError>> {
     let sensor = configuration::sensor(slice)?;
-    Some(Machine::new(config.with_drive(drive), memory, sensor, Create2::new()))
+    let config = configuration::config(boot_nonce).with_drive(drive);
+    Some(Machine::new(config, memory, sensor, Create2::new()))
 }
 
 /// The main loop: after every input it drains the outputs, then sleeps until the next deadline or
@@ -95,12 +64,11 @@ fn turn<D: Drive>(
     board: &mut Board,
     machine: &mut Machine<'_, impl DepthSensor, Create2, D>,
     mut journal: Journal,
-    served: &[Port],
 ) -> ! {
     let mut bytes = [0; DEFAULT_FRAME];
     loop {
         let mut is_quiet = true;
-        for (serial, port) in board.ports.iter_mut().zip(served.iter().copied()) {
+        for (serial, port) in board.ports.iter_mut().zip(PORTS) {
             let count = serial.read(&mut bytes);
             if let Some(received @ [_, ..]) = bytes.get(..count) {
                 is_quiet = false;
@@ -112,7 +80,7 @@ fn turn<D: Drive>(
         let now = board.clock.now();
         journal.note(&mut board.journal, now, Entry::Timeout);
         machine.timeout(now);
-        for (serial, port) in board.ports.iter_mut().zip(served.iter().copied()) {
+        for (serial, port) in board.ports.iter_mut().zip(PORTS) {
             let largest = if port == Port::Server { DEFAULT_FRAME } else { MAX_COMMAND };
             // The port's interrupt makes room meanwhile.
             while serial.room() >= largest {
@@ -148,8 +116,6 @@ enum Fault {
     Sensor = 2,
     /// The robot's configuration is invalid.
     Robot = 3,
-    /// The robot has a key, but its flash does not keep the number of its boots.
-    Flash = 4,
 }
 
 /// Flashes the LED for ever: as many times as the fault's number, then a pause.
