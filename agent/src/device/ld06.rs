@@ -59,9 +59,9 @@ const LEAST_CONFIDENCE: u8 = 15;
 /// A driver of the LD06: it joins the packets of a turn to a scan.
 ///
 /// Each beam takes the nearest valid point in its sector; one without a valid point has no return. A
-/// point is invalid if its distance is 0 or its confidence is below 15. A packet that is cut or damaged
-/// costs its own points and no others, because a packet is recognised at every byte; a turn of which less
-/// than three quarters arrived is dropped.
+/// point is invalid if its distance is 0 or its confidence is below 15. A cut or
+/// damaged packet loses only its own points, because a packet may begin at any byte. A turn is dropped if
+/// less than three quarters of it arrived.
 #[derive(Debug)]
 pub struct Ld06<'b> {
     /// The nearest reading in each sector, counter-clockwise from behind the sensor, in mm.

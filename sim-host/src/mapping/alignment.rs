@@ -114,7 +114,7 @@ impl Surfaces {
 
     /// Finds the pose within 0.8 m of a place, in any heading, from which the points were seen. As many poses
     /// may fit by chance, nearly all points must lie on surfaces; in a furnished room 3 of 100 matches are wrong
-    /// nevertheless. Cost: some 40 ms.
+    /// nevertheless. Tries six times as many headings as a search of 30 degrees to both sides.
     pub fn find_in_any_heading(&self, points: &[[f64; 2]], about: Pose) -> Option<Match> {
         let turn = Angle(i16::MAX as u16);
         let search = Search { position: Millimetres(800), turn, prior: Prior::Nothing };

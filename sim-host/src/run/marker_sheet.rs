@@ -108,7 +108,10 @@ pub fn run(options: &MarkersOptions) -> Result<String, RunError> {
         answer +=
             &format!("# {}: A4; print at 100 %, without fitting to the page\n", path.display());
     }
-    answer += "# Measure the ruler. If its 150 mm are not 150 mm on paper, multiply marker_size_m by what they are / 150.\n";
+    answer += &format!(
+        "# Measure the ruler. If its {RULER_LENGTH} mm are not {RULER_LENGTH} mm on paper, multiply marker_size_m by \
+         what they are / {RULER_LENGTH}.\n"
+    );
     answer += "# These lines belong into deployment.toml:\n";
     for id in &options.ids.0 {
         // Fails on no string.

@@ -1,4 +1,5 @@
-//! The firmware of a robot with an A010 depth camera (with the feature `ld06`, an LD06 lidar) on an iRobot Create 2, which maps and drives.
+//! The firmware of a robot with an A010 depth camera (with the feature `ld06`, an LD06 lidar) on an
+//! iRobot Create 2, which maps and drives.
 #![no_std]
 #![no_main]
 
