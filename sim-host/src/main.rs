@@ -29,6 +29,7 @@ use ubimap_sim_host::{
             SimulateOptions, Verbosity, WatchOptions,
         },
         place::{self, options::PlaceOptions},
+        provision::{self, ProvisionOptions},
         replay,
         reproduce::{self, ReproduceOptions},
         robot::{self, RobotOptions},
@@ -94,6 +95,8 @@ enum Command {
     Status(StatusOptions),
     /// Make, list and retire the keys of robots
     Keys(KeysOptions),
+    /// Write a robot's number, key and parameters into a firmware image
+    Provision(ProvisionOptions),
     /// Copy the file of --store, even while the server is running
     Backup(BackupOptions),
     /// Score one ROS map against another
@@ -125,6 +128,7 @@ fn main() -> ExitCode {
             | Command::Conformance(_)
             | Command::Decode(_)
             | Command::Keys(_)
+            | Command::Provision(_)
             | Command::Scale(_)
     ) {
         interruption::listen();
@@ -167,6 +171,9 @@ fn main() -> ExitCode {
         Command::Explore(options) => options.run("explore").and_then(|answer| answered(&answer)),
         Command::Status(options) => options.run().and_then(|answer| answered(&answer)),
         Command::Keys(options) => keys(&options),
+        Command::Provision(options) => {
+            provision::run(&options).map_err(RunError::from).and_then(|it| answered(&it))
+        }
         Command::Backup(options) => backup(&options),
         Command::Compare(options) => compare(&options),
         Command::Reproduce(options) => reproduce::run(&options)

@@ -342,8 +342,11 @@ fn pseudo_terminal(line: &str) -> Option<&str> {
 
 /// The firmware that writes a journal, in a folder of its own.
 pub fn journalled_firmware(folder: &Path) -> Result<PathBuf, EmulatorError> {
-    let image = built("firmware", Core::M4, "journal")?;
-    // Copied, because the firmware without a journal is built at the same place.
+    copied(built("firmware", Core::M4, "journal")?, folder)
+}
+
+/// Copies an image, because the firmware with other features is built at the same place.
+fn copied(image: PathBuf, folder: &Path) -> Result<PathBuf, EmulatorError> {
     let copy = folder.join("firmware");
     let copied = fs::copy(image, &copy).map_err(|error| missing_or_failed(Core::M4, &error));
     copied.map(|_| copy)
@@ -358,6 +361,11 @@ pub fn image(name: &str, core: Core) -> Result<PathBuf, EmulatorError> {
 /// without.
 pub fn sealed_image(name: &str) -> Result<PathBuf, EmulatorError> {
     built(name, Core::M4, "firmware,seals")
+}
+
+/// The firmware that takes its number, key and parameters from flash, in a folder of its own.
+pub fn provisionable_firmware(folder: &Path) -> Result<PathBuf, EmulatorError> {
+    copied(built("firmware", Core::M4, "flash")?, folder)
 }
 
 fn built(name: &str, core: Core, features: &str) -> Result<PathBuf, EmulatorError> {

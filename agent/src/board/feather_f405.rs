@@ -48,8 +48,21 @@ impl Board {
         let led = pins.pc1.into_push_pull_output();
         let journal = chip::JournalPort::open(chip.UART4, &mut rcc);
         let nonce = chip::boot_nonce(&chip.RNG, &mut rcc);
+        // Before the watchdog starts, because erasing may take as long as its time.
+        #[cfg(feature = "flash")]
+        let identity = super::flash::identity(chip.FLASH);
         let watchdog = chip::Watchdog::start(chip.IWDG);
         let ports = [server, sensor, wheels];
-        Some(Self { clock, ports, journal, led, watchdog, was_reset_by_watchdog, nonce })
+        Some(Self {
+            clock,
+            ports,
+            journal,
+            led,
+            watchdog,
+            was_reset_by_watchdog,
+            nonce,
+            #[cfg(feature = "flash")]
+            identity,
+        })
     }
 }

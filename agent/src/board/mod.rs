@@ -2,6 +2,8 @@
 //! `crazyflie`, the Crazyflie 2.1. Both have an STM32F405.
 
 mod chip;
+#[cfg(feature = "flash")]
+mod flash;
 #[cfg(feature = "crazyflie")]
 #[path = "crazyflie21.rs"]
 mod pins;
@@ -29,4 +31,7 @@ pub(crate) struct Board {
     pub(crate) was_reset_by_watchdog: bool,
     /// A random number, different at each boot.
     pub(crate) nonce: u64,
+    /// The robot's number, key and parameters.
+    #[cfg(feature = "flash")]
+    pub(crate) identity: ubimap_agent::flash::Identity,
 }

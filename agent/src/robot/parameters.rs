@@ -11,7 +11,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres},
 };
 
-use super::settings::Settings;
+use super::{config::Config, settings::Settings};
 use crate::sense::{Exposure, Removal};
 
 /// The parameters. The value of a variant is the parameter's number on the wire.
@@ -64,7 +64,8 @@ fn halves(value: i32) -> (u16, u16) {
 const NONE: i32 = -1;
 
 impl Parameter {
-    const ALL: &[Self] = &[
+    /// All parameters, in the order of their numbers.
+    pub const ALL: &[Self] = &[
         Self::MountingX,
         Self::MountingY,
         Self::MountingHeading,
@@ -85,7 +86,26 @@ impl Parameter {
         Self::ALL.chunks(1).find(found).unwrap_or_default()
     }
 
-    fn range(self) -> (i32, i32) {
+    /// The parameter's name, for people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::MountingX => "mounting-x",
+            Self::MountingY => "mounting-y",
+            Self::MountingHeading => "mounting-heading",
+            Self::GateDistance => "gate-distance",
+            Self::GateTurn => "gate-turn",
+            Self::Hold => "hold",
+            Self::ScanDeadline => "scan-deadline",
+            Self::FirstEpoch => "first-epoch",
+            Self::RemovedPixels => "removed-pixels",
+            Self::RemovedBearings => "removed-bearings",
+            Self::RemovedDistances => "removed-distances",
+            Self::Exposure => "exposure",
+        }
+    }
+
+    /// The minimum and the maximum of its values.
+    pub fn range(self) -> (i32, i32) {
         match self {
             Self::MountingX | Self::MountingY => (-2_000, 2_000),
             Self::MountingHeading => (-32_768, 65_535),
@@ -191,6 +211,25 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
 
 const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
 
+impl<D> Config<D> {
+    /// Sets parameters before the robot is made. Unknown ones and values out of range are skipped.
+    pub fn set(&mut self, values: &[ParameterValue]) {
+        let mut settings = Settings::from(&*self);
+        for &value in values {
+            let action = ParameterAction::Set(value);
+            carry_out(&ParameterCommand { number: 0, action }, &mut settings);
+        }
+        self.mounting = settings.mounting;
+        self.gate = settings.gate;
+        self.hold = settings.hold;
+        self.scan_deadline = settings.scan_deadline;
+        self.first_epoch = settings.first_epoch;
+        self.removed = settings.removed;
+        self.validity = settings.validity;
+        self.exposure = settings.exposure;
+    }
+}
+
 /// Writes the part of the reply `answer` that fits into a frame; the rest stays for the next frame.
 /// Returns whether anything was written.
 pub(crate) fn push_report(
@@ -218,7 +257,7 @@ pub(crate) fn push_report(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Bounds, Config, sense::SensorModel};
+    use crate::{Bounds, sense::SensorModel};
     use ubimap_protocol::{message::Messages, units::RobotId};
 
     fn settings() -> Settings {
@@ -248,6 +287,18 @@ mod tests {
         }
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
         assert_eq!(carry_out(&list, &mut settings).untold, Parameter::ALL);
+    }
+
+    #[test]
+    fn a_configuration_takes_every_parameter() {
+        let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
+        let mut config = Config::new(RobotId(1), sensor, Bounds::SMALL);
+        for &parameter in Parameter::ALL {
+            let value =
+                ParameterValue { parameter: parameter as u16, value: parameter.range().1 / 3 };
+            config.set(&[value, ParameterValue { parameter: 99, value: 1 }]);
+            assert_eq!(parameter.value(&Settings::from(&config)), value);
+        }
     }
 
     #[test]

@@ -56,6 +56,14 @@ pub fn load(folder: &Path) -> Result<Vec<(RobotId, Key)>, KeysError> {
     Ok(read_all(folder)?.into_iter().map(|(robot, key, _)| (robot, key)).collect())
 }
 
+/// The key in a file.
+///
+/// # Errors
+/// [`KeysError`] if the file can't be used, or is open to others.
+pub(super) fn read_key(path: &Path) -> Result<Key, KeysError> {
+    Ok(read_one(path)?.0)
+}
+
 fn make(folder: &Path, robot: RobotId) -> Result<String, KeysError> {
     prepare(folder)?;
     let path = path_of(folder, robot);
@@ -128,18 +136,22 @@ fn read_all(folder: &Path) -> Result<Vec<(RobotId, Key, String)>, KeysError> {
         let Some(robot) = number.map(RobotId) else {
             return Err(KeysError::new(&path, "is not named after a robot, such as 7.key"));
         };
-        check_private(&path, 0o600)?;
-        let text = files::read_settings(&path).map_err(|error| KeysError::new(&path, error))?;
-        let (key, made) = parse(&text).ok_or_else(|| {
-            KeysError::new(&path, "is no key: 32 hexadecimal digits in a line are expected")
-        })?;
+        let (key, made) = read_one(&path)?;
         keys.push((robot, key, made));
     }
     keys.sort_by_key(|&(robot, ..)| robot);
     Ok(keys)
 }
 
-/// The key in a file, and the end of its comment.
+/// The key in a file, and when it was made.
+fn read_one(path: &Path) -> Result<(Key, String), KeysError> {
+    check_private(path, 0o600)?;
+    let text = files::read_settings(path).map_err(|error| KeysError::new(path, error))?;
+    let reason = "is no key: 32 hexadecimal digits in a line are expected";
+    parse(&text).ok_or_else(|| KeysError::new(path, reason))
+}
+
+/// The key in a text, and the end of its comment.
 fn parse(text: &str) -> Option<(Key, String)> {
     let lines = || text.lines().map(str::trim).filter(|line| !line.is_empty());
     let mut digits = lines().filter(|line| !line.starts_with('#'));

@@ -34,6 +34,7 @@ pub mod outside;
 pub mod place;
 mod pointset;
 mod progress;
+pub mod provision;
 pub mod record;
 pub mod replay;
 pub mod reproduce;
@@ -208,6 +209,9 @@ pub enum RunError {
     /// The keys can't be used.
     #[error(transparent)]
     Keys(#[from] KeysError),
+    /// An image can't be provisioned.
+    #[error(transparent)]
+    Provision(#[from] provision::ProvisionError),
     /// The number of poses is neither zero, one, nor the number of ports.
     #[error("--pose: {poses} poses for {ports} ports; give one for all ports, or one per port")]
     Poses {
@@ -310,6 +314,7 @@ impl RunError {
             | Self::Capture { .. }
             | Self::Unsealed { .. }
             | Self::Keys(_)
+            | Self::Provision(_)
             | Self::Poses { .. }
             | Self::Robot(_)
             | Self::Registry(_)

@@ -4,12 +4,16 @@ use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
 use embedded_hal::{delay::DelayNs, digital::OutputPin};
+#[cfg(feature = "flash")]
+use ubimap_agent::flash::Identity;
 use ubimap_agent::{
-    ConfigError, Machine, Memory, Port, Storage,
+    Config, ConfigError, Machine, Memory, Port, Storage,
     device::{DepthSensor, create2::Create2},
     drive::Drive,
     journal::Entry,
 };
+#[cfg(feature = "flash")]
+use ubimap_protocol::units::RobotId;
 use ubimap_protocol::{frame::DEFAULT_FRAME, time::Instant};
 
 use crate::{
@@ -30,32 +34,70 @@ pub(crate) fn run<D: Drive>(
     slice: &'static mut [u16],
 ) -> ! {
     let nonce = (board.nonce ^ board.nonce >> 32) as u32;
+    let Some(served) = served(&board) else { fail(&mut board, Fault::Flash) };
     // Borrowed, because moving it would take twice its size of stack.
-    match &mut machine(nonce, drive, memory, slice) {
+    match &mut machine(&board, nonce, drive, memory, slice) {
         Some(Ok(machine)) => {
             if board.was_reset_by_watchdog {
                 machine.report_watchdog(board.clock.now());
             }
             let journal = Journal::begin(&mut board.journal, nonce);
-            turn(&mut board, machine, journal)
+            turn(&mut board, machine, journal, served)
         }
         Some(Err(_)) => fail(&mut board, Fault::Robot),
         None => fail(&mut board, Fault::Sensor),
     }
 }
 
+/// The ports that are served: only the server's if the robot does not know its number: it
+/// then says so, and has no devices. `None` if the board's flash must not be relied on.
+#[cfg(feature = "flash")]
+fn served(board: &Board) -> Option<&'static [Port]> {
+    match board.identity {
+        Identity::Known(..) => Some(&PORTS),
+        Identity::Unknown => Some(&PORTS[..1]),
+        Identity::NotKept => None,
+    }
+}
+
+/// Without the feature `flash` the configuration is complete.
+#[cfg(not(feature = "flash"))]
+fn served(_: &Board) -> Option<&'static [Port]> {
+    Some(&PORTS)
+}
+
 /// The robot with its devices; `None` if the slice is not one of the sensor's images.
 // Not inlined, so that the parts that it is made of leave the stack. The result is written in place.
 #[inline(never)]
-fn machine<D: Drive>(
+fn machine<D: Drive, S: Storage>(
+    board: &Board,
     boot_nonce: u32,
     drive: D,
-    memory: &'static mut Memory<impl Storage, D>,
+    memory: &'static mut Memory<S, D>,
     slice: &'static mut [u16],
-) -> Option<Result<Machine<'static, impl DepthSensor, Create2, D>, ConfigError>> {
+) -> Option<Result<Machine<'static, impl DepthSensor + use<D, S>, Create2, D>, ConfigError>> {
     let sensor = configuration::sensor(slice)?;
-    let config = configuration::config(boot_nonce).with_drive(drive);
+    let config = identified(board, configuration::config(boot_nonce)).with_drive(drive);
     Some(Machine::new(config, memory, sensor, Create2::new()))
+}
+
+/// Completes a configuration by what the board's flash says.
+#[cfg(feature = "flash")]
+fn identified(board: &Board, mut config: Config) -> Config {
+    match &board.identity {
+        Identity::Known(record, seal) => {
+            (config.robot, config.seal) = (record.robot, *seal);
+            config.set(&record.parameters);
+        }
+        Identity::Unknown | Identity::NotKept => config.robot = RobotId(0),
+    }
+    config
+}
+
+/// Without the feature `flash` the configuration is complete.
+#[cfg(not(feature = "flash"))]
+fn identified(_: &Board, config: Config) -> Config {
+    config
 }
 
 /// The main loop: after every input it drains the outputs, then sleeps until the next deadline or
@@ -64,11 +106,12 @@ fn turn<D: Drive>(
     board: &mut Board,
     machine: &mut Machine<'_, impl DepthSensor, Create2, D>,
     mut journal: Journal,
+    served: &'static [Port],
 ) -> ! {
     let mut bytes = [0; DEFAULT_FRAME];
     loop {
         let mut is_quiet = true;
-        for (serial, port) in board.ports.iter_mut().zip(PORTS) {
+        for (serial, port) in board.ports.iter_mut().zip(served.iter().copied()) {
             let count = serial.read(&mut bytes);
             if let Some(received @ [_, ..]) = bytes.get(..count) {
                 is_quiet = false;
@@ -80,7 +123,7 @@ fn turn<D: Drive>(
         let now = board.clock.now();
         journal.note(&mut board.journal, now, Entry::Timeout);
         machine.timeout(now);
-        for (serial, port) in board.ports.iter_mut().zip(PORTS) {
+        for (serial, port) in board.ports.iter_mut().zip(served.iter().copied()) {
             let largest = if port == Port::Server { DEFAULT_FRAME } else { MAX_COMMAND };
             // The port's interrupt makes room meanwhile.
             while serial.room() >= largest {
@@ -116,6 +159,8 @@ enum Fault {
     Sensor = 2,
     /// The robot's configuration is invalid.
     Robot = 3,
+    /// The robot has a key, but its flash does not keep the number of its boots.
+    Flash = 4,
 }
 
 /// Flashes the LED for ever: as many times as the fault's number, then a pause.

@@ -54,6 +54,11 @@ impl Key {
         Self(bytes)
     }
 
+    /// The key's bytes, to store them.
+    pub fn bytes(&self) -> &[u8; KEY_LEN] {
+        &self.0
+    }
+
     /// Proof that this build can seal.
     pub fn support(&self) -> SealSupport {
         SealSupport::PRESENT

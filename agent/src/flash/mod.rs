@@ -1,0 +1,51 @@
+//! The robot's number, key, parameters and boot counter in flash.
+//!
+//! `ubimap provision` writes a [`Record`] into an image, behind [`MAGIC`]: the image's [`Seed`]. At
+//! the first boot [`identify`] copies it into one of two slots of a [`NorFlash`], which images leave
+//! alone, and counts boots there. So an image without a seed is an update that keeps the robot's
+//! number and key, a seed replaces them, and a boot number is never used twice with a key, whatever
+//! is flashed, and wherever the power is cut.
+
+mod record;
+mod slots;
+
+#[cfg(test)]
+mod model;
+#[cfg(test)]
+mod tests;
+
+pub use record::{MAGIC, Record, SEED_LEN, Seed, UNPROVISIONED};
+pub use slots::{HEAD, NorFlash, Slot};
+
+use crate::Seal;
+use slots::Slots;
+
+/// What a robot is told by its image and its flash.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Identity {
+    /// Its record, and what a sealed link needs if it has a key.
+    Known(Record, Option<Seal>),
+    /// Neither the image nor the flash has a record: the robot must not move.
+    Unknown,
+    /// The robot has a key, but the number of this boot can't be kept: a link must not be sealed.
+    NotKept,
+}
+
+/// The robot's identity, from the image's seed and the slots. Counts the boot. Call it once per boot.
+///
+/// Programs one word of flash; a new seed and a full log of boots cost an erase as well. A robot
+/// without a key does without a flash that can't be written.
+pub fn identify(flash: &mut impl NorFlash, seed: Option<Seed>) -> Identity {
+    let mut slots = Slots::new(flash);
+    match slots.boot(seed.as_ref()) {
+        Ok(Some((record, boot))) => {
+            let seal = record.key.map(|key| Seal { key, boot });
+            Identity::Known(record, seal)
+        }
+        Ok(None) => Identity::Unknown,
+        Err(_) => match seed.map(|seed| seed.record).or_else(|| slots.record()) {
+            Some(record) if record.key.is_none() => Identity::Known(record, None),
+            _ => Identity::NotKept,
+        },
+    }
+}

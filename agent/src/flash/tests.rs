@@ -1,0 +1,207 @@
+use std::vec::Vec;
+
+use proptest::prelude::*;
+use ubimap_protocol::{frame::Key, message::ParameterValue, units::RobotId};
+
+use super::{
+    model::{Model, TEARS},
+    *,
+};
+
+/// The record of a robot, whose fields all depend on its number.
+fn record(robot: u16, boots: u32) -> Record {
+    let values = (0..robot % 17).map(|parameter| {
+        let value = i32::from(robot) * 70_001 - i32::from(parameter);
+        ParameterValue { parameter, value }
+    });
+    let key = (robot.is_multiple_of(2)).then(|| Key::new([robot as u8; 16]));
+    Record { robot: RobotId(robot), key, boots, parameters: values.collect() }
+}
+
+fn seed(robot: u16, boots: u32) -> Seed {
+    Seed::parse(&Seed::to_bytes(&record(robot, boots))).unwrap()
+}
+
+/// What must come of boots: a plain model.
+#[derive(Clone, Default)]
+struct Oracle {
+    /// The last record that a boot reported, without its boots.
+    kept: Option<Record>,
+    /// Seeds of the boots since then during which the power was cut.
+    pending: Vec<Record>,
+    /// The last boot number.
+    last: u32,
+}
+
+impl Oracle {
+    /// Boots once, and checks what is told. The power may be cut meanwhile.
+    fn boot<const N: usize>(&mut self, flash: &mut Model<N>, seed: Option<&Seed>) {
+        let told = Slots::new(flash).boot(seed);
+        let wanted = seed.map(|seed| Record { boots: 0, ..seed.record.clone() });
+        if flash.is_off() {
+            // Nobody has seen the answer.
+            self.pending.extend(wanted);
+            return;
+        }
+        let told = told.unwrap().map(|(record, boot)| (Record { boots: 0, ..record }, boot));
+        let Some((record, boot)) = told else {
+            assert_eq!((&self.kept, &wanted), (&None, &None), "a record was lost");
+            return;
+        };
+        match wanted {
+            Some(wanted) => assert_eq!(record, wanted),
+            None => {
+                let mut old_or_new = self.kept.iter().chain(&self.pending);
+                assert!(old_or_new.any(|it| *it == record), "a mix: {record:?}");
+            }
+        }
+        assert!(boot > self.last, "boot {boot} after {}", self.last);
+        (self.kept, self.last) = (Some(record), boot);
+        self.pending.clear();
+    }
+}
+
+/// The seeds of images that are flashed one after the other: new ones, updates, the same again.
+fn script() -> Vec<Option<Seed>> {
+    let [a, b] = [seed(2, 10), seed(31, 4)].map(Some);
+    let (none, again) = (None, b.clone());
+    let mut script = [none.clone(), a.clone(), none.clone(), none.clone(), a].to_vec();
+    script.extend([none.clone(), none.clone(), b, again, none.clone(), none.clone(), none]);
+    script
+}
+
+/// Cuts the power at every step of a script, and once more at every step of the boot that follows.
+fn cut_everywhere<const N: usize>() {
+    let (script, len) = (script(), HEAD + 3 * N);
+    let mut flash = Model::<N>::new(len, 1);
+    let mut oracle = Oracle::default();
+    script.iter().for_each(|seed| oracle.boot(&mut flash, seed.as_ref()));
+    assert!(flash.erasures >= 4, "the log was never full");
+    for (first, tear) in (0..flash.steps).flat_map(|at| TEARS.map(|tear| (at, tear))) {
+        // The second cut is never reached if it comes late.
+        for second in [0, 1, 2, 3, 20, HEAD / N, HEAD / N + 1, 9_999] {
+            let noise = (first * 64 + second) as u32;
+            let (mut flash, mut oracle) = (Model::<N>::new(len, noise), Oracle::default());
+            flash.cut_after(first, tear);
+            let mut seeds = script.iter();
+            for seed in seeds.by_ref() {
+                oracle.boot(&mut flash, seed.as_ref());
+                if flash.is_off() {
+                    break;
+                }
+            }
+            flash.power_on();
+            flash.cut_after(second, TEARS[noise as usize / 3 % TEARS.len()]);
+            oracle.boot(&mut flash, None);
+            for seed in [None, None].iter().chain(seeds) {
+                flash.power_on();
+                oracle.boot(&mut flash, seed.as_ref());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_cut_at_any_step_leaves_old_or_new_and_no_boot_number_twice() {
+    cut_everywhere::<4>();
+    cut_everywhere::<16>();
+}
+
+proptest! {
+    #[test]
+    fn no_series_of_cuts_mixes_records_or_repeats_a_boot_number(
+        noise: u32,
+        words in 1..9_usize,
+        boots in prop::collection::vec((0..4_u16, 0..99_usize, 0..5_usize), 1..60),
+    ) {
+        let (mut flash, mut oracle) = (Model::<8>::new(HEAD + 8 * words, noise), Oracle::default());
+        for (number, steps, tear) in boots {
+            flash.power_on();
+            if let Some(&tear) = TEARS.get(tear) {
+                flash.cut_after(steps % 24, tear);
+            }
+            let seed = (number > 0).then(|| seed(number * 7, 0));
+            oracle.boot(&mut flash, seed.as_ref());
+        }
+    }
+
+    #[test]
+    fn a_seed_with_wrong_bits_is_none(at in 16..SEED_LEN, bits in 1..=255_u8) {
+        let mut bytes = Seed::to_bytes(&record(16, 7));
+        prop_assert_eq!(Seed::parse(&bytes).unwrap().record, record(16, 7));
+        bytes[at] ^= bits;
+        prop_assert_eq!(Seed::parse(&bytes), None);
+    }
+}
+
+#[test]
+fn a_failed_bit_costs_the_newest_record_but_repeats_no_boot_number() {
+    for at in [0, 40, HEAD - 1] {
+        let (mut flash, mut oracle) = (Model::<4>::new(HEAD + 16, 5), Oracle::default());
+        for _ in 0..11 {
+            oracle.boot(&mut flash, Some(&seed(6, 0)));
+        }
+        // Boots 9 to 11 are in the first slot.
+        flash.damage(Slot::First, at);
+        oracle.boot(&mut flash, None);
+        assert_eq!(oracle.last, 13, "the four of the lost log are skipped");
+        oracle.boot(&mut flash, None);
+        assert_eq!(oracle.last, 14);
+        // The only slot that was ever written fails: the seed is taken again.
+        let (mut flash, mut oracle) = (Model::<4>::new(HEAD + 16, 5), Oracle::default());
+        for _ in 0..3 {
+            oracle.boot(&mut flash, Some(&seed(6, 20)));
+        }
+        flash.damage(Slot::First, at);
+        oracle.boot(&mut flash, Some(&seed(6, 20)));
+        assert_eq!(oracle.last, 25);
+    }
+}
+
+#[test]
+fn a_slot_is_erased_once_per_log_of_boots() {
+    let (mut flash, mut oracle) = (Model::<4>::new(HEAD + 400, 5), Oracle::default());
+    for _ in 0..1_000 {
+        oracle.boot(&mut flash, Some(&seed(6, 0)));
+    }
+    assert_eq!((flash.erasures, oracle.last), (10, 1_000));
+}
+
+#[test]
+fn a_seed_counts_on_from_the_higher_number() {
+    let mut flash = Model::<4>::new(HEAD + 400, 5);
+    let mut boot = |seed| match identify(&mut flash, seed) {
+        Identity::Known(record, seal) => (record.robot.0, seal.map(|seal| seal.boot)),
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(boot(Some(seed(2, 100))), (2, Some(101)));
+    assert_eq!(boot(Some(seed(4, 50))), (4, Some(102)));
+    assert_eq!(boot(None), (4, Some(103)));
+    assert_eq!(boot(Some(seed(2, 200))), (2, Some(201)));
+    assert_eq!(boot(Some(seed(5, 0))), (5, None));
+}
+
+#[test]
+fn a_flash_that_keeps_nothing_serves_an_open_link_only() {
+    let mut flash = Model::<4>::new(HEAD + 400, 5);
+    assert_eq!(identify(&mut flash, None), Identity::Unknown);
+    flash.is_read_only = true;
+    assert_eq!(identify(&mut flash, None), Identity::Unknown);
+    assert_eq!(identify(&mut flash, Some(seed(2, 0))), Identity::NotKept);
+    assert_eq!(identify(&mut flash, Some(seed(3, 9))), Identity::Known(record(3, 9), None));
+    // All numbers are used up.
+    let mut flash = Model::<4>::new(HEAD + 400, 5);
+    assert_eq!(identify(&mut flash, Some(seed(2, u32::MAX))), Identity::NotKept);
+}
+
+#[test]
+fn an_image_without_a_seed_says_so() {
+    assert_eq!(Seed::parse(&UNPROVISIONED), None);
+    assert_eq!(UNPROVISIONED[..16], MAGIC);
+    let mut many = Seed::to_bytes(&record(16, 7));
+    // More parameters than fit, under a good CRC.
+    many[16 + 24] = 17;
+    let crc = ubimap_protocol::checksum::crc32(&[&many[..SEED_LEN - 4]]);
+    many[SEED_LEN - 4..].copy_from_slice(&crc.to_le_bytes());
+    assert_eq!(Seed::parse(&many), None);
+}

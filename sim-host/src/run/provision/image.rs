@@ -1,0 +1,218 @@
+//! The place of the seed in an ELF, BIN or UF2 image.
+//!
+//! The magic is searched in what is loaded: an ELF's segments, a UF2's blocks in the order of their
+//! addresses, all of a BIN.
+
+use std::ops::Range;
+
+use ubimap_agent::flash::{MAGIC, SEED_LEN};
+
+/// Why an image has no place for a seed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ImageFault {
+    /// There is no magic.
+    #[error("has no place for a robot's number; build it with `cargo firmware --features flash`")]
+    NoPlace,
+    /// The magic is there more than once, or the image ends within its seed.
+    #[error("has several places for a robot's number, or an incomplete one; build it anew")]
+    WrongPlace,
+    /// An ELF or UF2 whose tables lead nowhere.
+    #[error("is damaged: its {0} do not fit its length; build it anew")]
+    Damaged(&'static str),
+}
+
+/// Writes a seed into an image, which is unchanged if that fails.
+pub(super) fn patch(image: &mut [u8], seed: &[u8; SEED_LEN]) -> Result<(), ImageFault> {
+    let pieces = if image.starts_with(b"\x7FELF") {
+        segments(image).ok_or(ImageFault::Damaged("segments"))?
+    } else if word(image, 0) == Some(UF2_MAGIC[0]) {
+        blocks(image).ok_or(ImageFault::Damaged("blocks"))?
+    } else {
+        vec![vec![0..image.len()]]
+    };
+    let mut places = Vec::new();
+    for ranges in pieces {
+        // Where each loaded byte is in the file.
+        let at: Vec<usize> = ranges.into_iter().flatten().collect();
+        let loaded: Vec<u8> = at.iter().map(|&at| image[at]).collect();
+        for (first, window) in loaded.windows(MAGIC.len()).enumerate() {
+            if window == MAGIC {
+                let place = at.get(first..first + SEED_LEN).ok_or(ImageFault::WrongPlace)?;
+                places.push(place.to_vec());
+            }
+        }
+    }
+    match &places[..] {
+        [] => Err(ImageFault::NoPlace),
+        [place] => {
+            place.iter().zip(seed).for_each(|(&at, &byte)| image[at] = byte);
+            Ok(())
+        }
+        _ => Err(ImageFault::WrongPlace),
+    }
+}
+
+/// The parts of the file that an ELF (32 bits, little-endian) loads: each segment is one.
+fn segments(elf: &[u8]) -> Option<Vec<Vec<Range<usize>>>> {
+    const LOAD: usize = 1;
+    if elf.get(4..6)? != [1, 1] {
+        return None;
+    }
+    let (table, size, count) = (word(elf, 28)?, half(elf, 42)?, half(elf, 44)?);
+    let mut found = Vec::new();
+    for index in 0..count {
+        let header = table + index * size;
+        let (kind, from, len) =
+            (word(elf, header)?, word(elf, header + 4)?, word(elf, header + 16)?);
+        if kind == LOAD {
+            let range = from..from.checked_add(len)?;
+            elf.get(range.clone())?;
+            found.push(vec![range]);
+        }
+    }
+    Some(found)
+}
+
+/// The first, second and last word of a UF2 block.
+const UF2_MAGIC: [usize; 3] = [0x0A32_4655, 0x9E5D_5157, 0x0AB1_6F30];
+
+/// Size of a UF2 block, its header and its last word, in bytes.
+const UF2_BLOCK: usize = 512;
+
+/// The parts of the file that a UF2 flashes, in the order of their addresses: blocks that follow each
+/// other in flash are one piece.
+fn blocks(uf2: &[u8]) -> Option<Vec<Vec<Range<usize>>>> {
+    const NOT_FLASHED: usize = 1;
+    if !uf2.len().is_multiple_of(UF2_BLOCK) {
+        return None;
+    }
+    let mut found = Vec::new();
+    for at in (0..uf2.len()).step_by(UF2_BLOCK) {
+        if [word(uf2, at)?, word(uf2, at + 4)?, word(uf2, at + 508)?] != UF2_MAGIC {
+            return None;
+        }
+        let (flags, address, len) = (word(uf2, at + 8)?, word(uf2, at + 12)?, word(uf2, at + 16)?);
+        if len > 476 {
+            return None;
+        }
+        if flags & NOT_FLASHED == 0 {
+            found.push((address, at + 32..at + 32 + len));
+        }
+    }
+    found.sort_by_key(|(address, _)| *address);
+    let mut pieces: Vec<Vec<Range<usize>>> = Vec::new();
+    let mut end = None;
+    for (address, range) in found {
+        let next = Some(address + range.len());
+        match pieces.last_mut() {
+            Some(piece) if end == Some(address) => piece.push(range),
+            _ => pieces.push(vec![range]),
+        }
+        end = next;
+    }
+    Some(pieces)
+}
+
+fn word(bytes: &[u8], at: usize) -> Option<usize> {
+    let word = bytes.get(at..at.checked_add(4)?)?;
+    usize::try_from(u32::from_le_bytes(word.try_into().ok()?)).ok()
+}
+
+fn half(bytes: &[u8], at: usize) -> Option<usize> {
+    let half = bytes.get(at..at.checked_add(2)?)?;
+    Some(u16::from_le_bytes(half.try_into().ok()?).into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ubimap_agent::flash::UNPROVISIONED;
+
+    const SEED: [u8; SEED_LEN] = [0x5A; SEED_LEN];
+
+    fn flash() -> Vec<u8> {
+        [&[1; 200][..], &UNPROVISIONED, &[2; 300]].concat()
+    }
+
+    fn provisioned() -> Vec<u8> {
+        [&[1; 200][..], &SEED, &[2; 300]].concat()
+    }
+
+    /// The blocks of a UF2 of a flash at 0x1000_0000.
+    fn uf2(flash: &[u8]) -> Vec<u8> {
+        let count = flash.len().div_ceil(256) as u32;
+        let mut file = Vec::new();
+        for (index, part) in flash.chunks(256).enumerate() {
+            let address = 0x1000_0000 + 256 * index as u32;
+            let [first, second, last] = UF2_MAGIC.map(|it| it as u32);
+            let len = part.len() as u32;
+            let header = [first, second, 0x2000, address, len, index as u32, count, 0xE48B_FF56];
+            let mut block: Vec<u8> = header.iter().flat_map(|it| it.to_le_bytes()).collect();
+            block.extend(part);
+            block.resize(508, 0);
+            block.extend(last.to_le_bytes());
+            file.extend(block);
+        }
+        file
+    }
+
+    /// An ELF with one segment, and the magic once more behind it, as debug information.
+    fn elf(flash: &[u8]) -> Vec<u8> {
+        let mut file = vec![0; 52 + 32];
+        file[..6].copy_from_slice(b"\x7FELF\x01\x01");
+        let mut put = |at: usize, value: u32| {
+            file[at..at + 4].copy_from_slice(&value.to_le_bytes());
+        };
+        put(28, 52);
+        put(40, 32 << 16);
+        put(44, 1);
+        put(52, 1);
+        put(56, 84);
+        put(68, flash.len() as u32);
+        [&file, flash, &MAGIC].concat()
+    }
+
+    #[test]
+    fn the_seed_is_written_and_nothing_else() {
+        type Form = fn(&[u8]) -> Vec<u8>;
+        let forms: [Form; 3] = [<[u8]>::to_vec, uf2, elf];
+        for (index, form) in forms.into_iter().enumerate() {
+            let mut image = form(&flash());
+            patch(&mut image, &SEED).unwrap();
+            assert!(image == form(&provisioned()), "form {index}");
+            // There is no second place, and no place without the magic.
+            for (flash, fault) in [
+                ([flash(), flash()].concat(), ImageFault::WrongPlace),
+                (vec![7; 999], ImageFault::NoPlace),
+                (flash()[..300].to_vec(), ImageFault::WrongPlace),
+            ] {
+                let image = form(&flash);
+                let mut patched = image.clone();
+                assert_eq!(patch(&mut patched, &SEED), Err(fault), "form {index}");
+                assert!(patched == image);
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_may_come_in_any_order() {
+        let (image, wanted) = (uf2(&flash()), uf2(&provisioned()));
+        let reversed = |file: &[u8]| file.chunks(UF2_BLOCK).rev().collect::<Vec<_>>().concat();
+        let mut image = reversed(&image);
+        patch(&mut image, &SEED).unwrap();
+        assert!(image == reversed(&wanted));
+    }
+
+    #[test]
+    fn cut_images_are_refused() {
+        for (whole, least) in [(uf2(&flash()), 4), (elf(&flash()), 4)] {
+            for len in (least..whole.len() - MAGIC.len()).step_by(7) {
+                let mut image = whole[..len].to_vec();
+                let found = patch(&mut image, &SEED);
+                if len % UF2_BLOCK != 0 {
+                    assert!(matches!(found, Err(ImageFault::Damaged(_))), "{len}: {found:?}");
+                }
+            }
+        }
+    }
+}
