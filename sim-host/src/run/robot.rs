@@ -206,7 +206,9 @@ impl RobotFile {
         };
         let [x, y] = self.sensor_at_m;
         let config = Config::new(RobotId(self.id), model, bounds);
-        let config = Config { boot_nonce, mounting: Pose::from_metres(x, y, 0.0), ..config };
+        let validity = if self.lidar().is_some() { Ld06::validity() } else { config.validity };
+        let mounting = Pose::from_metres(x, y, 0.0);
+        let config = Config { boot_nonce, mounting, validity, ..config };
         let radius = (self.radius_m * 1_000.0).ceil() as u16;
         let motion = Motion {
             radius,

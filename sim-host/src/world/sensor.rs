@@ -7,6 +7,7 @@ use parry2d_f64::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use ubimap_agent::sense::NOTHING_IN_RANGE;
 use ubimap_protocol::units::Pose;
 
 use super::{
@@ -22,6 +23,9 @@ use super::{
 const STEREO_NOISE: f64 = 0.08;
 /// Baseline of a D435 in metres.
 const BASELINE: f64 = 0.05;
+
+/// A beam whose noise exceeds this many standard deviations gets nothing back: one in 370.
+const LOST: f64 = 3.0;
 
 /// Rays per wide zone in each direction.
 const RAYS: i32 = 3;
@@ -40,6 +44,7 @@ pub struct RangeSensor {
     beams: usize,
     min_range: f64,
     max_range: f64,
+    clear: f64,
     rate: f64,
     noise: f64,
     noise_ratio: f64,
@@ -113,6 +118,11 @@ impl RangeSensor {
         self.max_range
     }
 
+    /// Distance in metres up to which a beam without a return says that the ground is free; 0 if it says nothing.
+    pub fn clear_m(&self) -> f64 {
+        self.clear
+    }
+
     /// Whether it is a grey camera, which delivers pictures instead of ranges.
     pub fn sees_grey(&self) -> bool {
         self.sees_grey
@@ -145,6 +155,7 @@ impl RangeSensor {
             beams: config.beams.max(2),
             min_range: config.min_range_m,
             max_range: config.max_range_m,
+            clear: config.clear_m,
             rate: config.rate_hz,
             noise: config.noise_m,
             noise_ratio: config.noise_ratio,
@@ -159,7 +170,8 @@ impl RangeSensor {
         (origin, robot.heading + self.heading + self.askew, self.fov / 2.0)
     }
 
-    /// A scan at a pose of the robot: millimetres for each beam, zero for no return.
+    /// A scan at a pose of the robot: millimetres for each beam, or [`NOTHING_IN_RANGE`] for no return if that
+    /// says anything, else 0.
     pub(super) fn scan(
         &self,
         robot: PlanePose,
@@ -201,7 +213,10 @@ impl RangeSensor {
         ranges
             .into_iter()
             .map(|range| (range, throw()))
-            .map(|(range, throw)| range.map_or(0, |range| self.reading(noisy(range, throw))))
+            .map(|(range, throw)| match range {
+                Some(range) if throw.abs() < LOST => self.reading(noisy(range, throw)),
+                _ => self.nothing(),
+            })
             .collect()
     }
 
@@ -231,10 +246,17 @@ impl RangeSensor {
     }
 
     fn reading(&self, range: f64) -> u16 {
-        if range < self.min_range || range > self.max_range {
-            return 0;
+        match range {
+            // Sensors notice what is too near.
+            _ if range < self.min_range => 0,
+            _ if range > self.max_range => self.nothing(),
+            _ => (range * 1000.0).round() as u16,
         }
-        (range * 1000.0).round() as u16
+    }
+
+    /// What a beam reads that gets nothing back.
+    fn nothing(&self) -> u16 {
+        if self.clear > 0.0 { NOTHING_IN_RANGE } else { 0 }
     }
 }
 

@@ -311,6 +311,7 @@ impl Scenario {
         // A reading is a 16-bit number of millimetres.
         self.number(&key_of("max_range_m"), sensor.max_range_m, 0.01..=65.5)?;
         self.number(&key_of("min_range_m"), sensor.min_range_m, 0.0..=sensor.max_range_m)?;
+        self.number(&key_of("clear_m"), sensor.clear_m, 0.0..=sensor.max_range_m)?;
         self.number(&key_of("rate_hz"), sensor.rate_hz, 0.01..=100.0)?;
         self.number(&key_of("noise_m"), sensor.noise_m, 0.0..=10.0)?;
         self.number(&key_of("noise_ratio"), sensor.noise_ratio, 0.0..=1.0)

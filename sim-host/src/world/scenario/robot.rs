@@ -126,6 +126,8 @@ pub struct SensorConfig {
     pub min_range_m: f64,
     /// Maximum range; farther returns are lost.
     pub max_range_m: f64,
+    /// A beam without a return says that the ground is free up to here; 0 if it says nothing.
+    pub clear_m: f64,
     /// Scan rate.
     pub rate_hz: f64,
     /// Standard deviation of a range: constant part.
@@ -169,6 +171,7 @@ impl SensorPreset {
             beams: 160,
             min_range_m: 0.1,
             max_range_m: 4.0,
+            clear_m: 4.0,
             rate_hz: 10.0,
             noise_m: 0.004,
             noise_ratio: 0.002,
@@ -178,6 +181,7 @@ impl SensorPreset {
             Self::DepthRow => SensorConfig {
                 beams: 640,
                 min_range_m: 0.2,
+                clear_m: 0.0,
                 noise_m: 0.0,
                 noise_ratio: 0.0,
                 ..beams
@@ -186,6 +190,7 @@ impl SensorPreset {
                 fov_deg: 70.0,
                 beams: 100,
                 max_range_m: 2.5,
+                clear_m: 0.0,
                 noise_m: 0.003,
                 noise_ratio: 0.01,
                 ..beams
@@ -195,6 +200,7 @@ impl SensorPreset {
                 beams: GREY_COLUMNS,
                 min_range_m: 0.0,
                 max_range_m: 2.0,
+                clear_m: 0.0,
                 rate_hz: 5.0,
                 noise_m: 0.0,
                 noise_ratio: 0.0,
@@ -253,6 +259,7 @@ struct SensorKeys {
     beams: Option<usize>,
     min_range_m: Option<f64>,
     max_range_m: Option<f64>,
+    clear_m: Option<f64>,
     rate_hz: Option<f64>,
     noise_m: Option<f64>,
     noise_ratio: Option<f64>,
@@ -272,6 +279,10 @@ impl From<SensorKeys> for SensorConfig {
             beams: keys.beams.unwrap_or(usual.beams),
             min_range_m: keys.min_range_m.unwrap_or(usual.min_range_m),
             max_range_m: keys.max_range_m.unwrap_or(usual.max_range_m),
+            // No farther than the range stated, unless that is stated, too.
+            clear_m: keys.clear_m.unwrap_or_else(|| {
+                usual.clear_m.min(keys.max_range_m.unwrap_or(usual.max_range_m))
+            }),
             rate_hz: keys.rate_hz.unwrap_or(usual.rate_hz),
             noise_m: keys.noise_m.unwrap_or(usual.noise_m),
             noise_ratio: keys.noise_ratio.unwrap_or(usual.noise_ratio),
