@@ -29,10 +29,10 @@ impl Board {
         let mut chip = chip::start()?;
         let pins = chip.pins;
         let server = chip::start_usb(chip.usb)?;
-        let uart = (chip.uart0, pins.gpio0, pins.gpio1);
-        let sensor = port!(UART0, UART0_IRQ, Gpio0, Gpio1, uart, sensor, DEVICE_QUEUES, chip)?;
-        let uart = (chip.uart1, pins.gpio4, pins.gpio5);
-        let wheels = port!(UART1, UART1_IRQ, Gpio4, Gpio5, uart, wheels, DEVICE_QUEUES, chip)?;
+        let parts = (chip.uart0, pins.gpio0, pins.gpio1);
+        let sensor = port!(UART0, UART0_IRQ, Gpio0, Gpio1, parts, sensor, DEVICE_QUEUES, chip)?;
+        let parts = (chip.uart1, pins.gpio4, pins.gpio5);
+        let wheels = port!(UART1, UART1_IRQ, Gpio4, Gpio5, parts, wheels, DEVICE_QUEUES, chip)?;
 
         let led = pins.gpio25.into_push_pull_output();
         let identity = identity(NoFlash);
