@@ -368,6 +368,11 @@ pub fn provisionable_firmware(folder: &Path) -> Result<PathBuf, EmulatorError> {
     copied(built("firmware", Core::M4, "flash")?, folder)
 }
 
+/// The firmware for the Raspberry Pi Pico (`M0`) or Pico 2 (`M33`), which no emulator here runs.
+pub fn pico_firmware(core: Core) -> Result<PathBuf, EmulatorError> {
+    built("firmware", core, if core == Core::M0 { "pico" } else { "pico2" })
+}
+
 fn built(name: &str, core: Core, features: &str) -> Result<PathBuf, EmulatorError> {
     let target = core.target();
     let mut cargo = compiler(target)?;

@@ -15,10 +15,11 @@ fn rows<'t>(text: &'t str, prefix: &str) -> Vec<&'t str> {
     rows.filter(|row| row.starts_with("| ")).collect()
 }
 
-/// A word such as `PB10`.
+/// A word such as `PB10` or `GPIO4`.
 fn is_pin(word: &str) -> bool {
-    let number =
-        word.strip_prefix('P').and_then(|it| it.strip_prefix(|port| matches!(port, 'A'..='I')));
+    let number = word.strip_prefix("GPIO").or_else(|| {
+        word.strip_prefix('P').and_then(|it| it.strip_prefix(|port| matches!(port, 'A'..='I')))
+    });
     number.is_some_and(|it| !it.is_empty() && it.bytes().all(|byte| byte.is_ascii_digit()))
 }
 
@@ -30,7 +31,7 @@ fn words(text: &str) -> impl Iterator<Item = &str> {
 #[test]
 fn the_tables_of_pins_are_those_of_the_boards() {
     let readme = read("README.md");
-    for board in ["feather_f405", "crazyflie21"] {
+    for board in ["feather_f405", "crazyflie21", "pico"] {
         let module = read(&format!("src/board/{board}.rs"));
         let table = rows(&module, "//! ");
         assert!(table.len() >= 5, "{board}: {table:?}");
@@ -45,7 +46,7 @@ fn the_tables_of_pins_are_those_of_the_boards() {
         let named = |text: &str, of: fn(&str) -> bool| -> BTreeSet<String> {
             words(text).filter(|word| of(word)).map(str::to_owned).collect()
         };
-        let is_usart = |word: &str| word.starts_with("USART");
+        let is_usart = |word: &str| word.starts_with("USART") || word.starts_with("UART");
         let table = table.join("\n");
         assert_eq!(named(&table, is_pin), named(&code, is_pin), "{board}: pins");
         assert_eq!(named(&table, is_usart), named(&code, is_usart), "{board}: ports");

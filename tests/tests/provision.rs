@@ -10,6 +10,7 @@ use std::{
 };
 
 use clap::Parser;
+use ubimap_agent::flash::{MAGIC, Seed};
 use ubimap_sim_host::{
     channel::serial::SerialPort,
     run::{
@@ -21,7 +22,7 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{
     elf::Image,
-    emulator::{Emulator, leave_out, provisionable_firmware},
+    emulator::{Core, Emulator, leave_out, pico_firmware, provisionable_firmware},
 };
 
 #[derive(Parser)]
@@ -62,6 +63,49 @@ fn the_image_says_its_number_and_without_one_moves_nothing() {
     keys::run(&KeysOptions { action: KeysAction::Make { robot: 9 }, dir: dir.clone() }).unwrap();
     provision(&["--id", "9", "--key", dir.join("9.key").to_str().unwrap()]);
     assert_eq!(said(&image), [b"", b""], "its flash keeps no boot number");
+}
+
+#[test]
+#[ignore = "builds images: cargo real-time"]
+fn the_images_for_picos_become_uf2_files_that_their_roms_take() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("picos");
+    fs::create_dir_all(&folder).unwrap();
+    // By the chips' data sheets: the family, where the vector table is, and the end of the RAM.
+    for (core, family, vectors, stack) in
+        [(Core::M0, 0xE48B_FF56, 256, 0x2004_0000), (Core::M33, 0xE48B_FF59, 0, 0x2008_0000)]
+    {
+        let image = match pico_firmware(core) {
+            Ok(image) => image,
+            Err(error) => return leave_out("the images for Picos", &error),
+        };
+        let out = folder.join("robot.uf2");
+        for (image, id) in [(&image, "7"), (&out, "8")] {
+            let line = ["provision", image.to_str().unwrap(), "--id", id, "--out"];
+            let line = line.into_iter().chain([out.to_str().unwrap()]);
+            provision::run(&CommandLine::parse_from(line).options).unwrap();
+        }
+        let file = fs::read(&out).unwrap();
+        let (blocks, rest) = file.as_chunks::<512>();
+        assert!(rest.is_empty());
+        let mut flash = Vec::new();
+        for (index, block) in blocks.iter().enumerate() {
+            let word = |at: usize| u32::from_le_bytes(block[at..at + 4].try_into().unwrap());
+            let head: Vec<u32> = (0..8).map(|index| word(4 * index)).collect();
+            let (index, count) = (index as u32, blocks.len() as u32);
+            let address = 0x1000_0000 + 256 * index;
+            let wanted = [0x0A32_4655, 0x9E5D_5157, 0x2000, address, 256, index, count, family];
+            assert_eq!(head, wanted);
+            assert_eq!(word(508), 0x0AB1_6F30);
+            flash.extend(&block[32..288]);
+        }
+        let word = |at: usize| u32::from_le_bytes(flash[at..at + 4].try_into().unwrap());
+        assert_eq!(word(vectors), stack, "the initial stack pointer");
+        let reset = word(vectors + 4);
+        assert!(reset % 2 == 1 && (reset as usize) < 0x1000_0000 + flash.len(), "{reset:#x}");
+        let seed = flash.windows(MAGIC.len()).position(|window| window == MAGIC).unwrap();
+        let seed = Seed::parse(flash[seed..].first_chunk().unwrap()).unwrap();
+        assert_eq!(seed.record.robot.0, 8);
+    }
 }
 
 /// What an image says to the server and to the wheels in its first seconds.

@@ -15,8 +15,9 @@ use stm32f4xx_hal::{
 };
 
 use super::{
-    Board,
-    chip::{self, APB1_HZ, APB2_HZ, DEVICE_QUEUES, SERVER_QUEUES, port},
+    Board, JournalPort,
+    chip::{self, APB1_HZ, APB2_HZ, port},
+    serial::{DEVICE_QUEUES, SERVER_QUEUES},
 };
 
 /// The status LED.
@@ -47,11 +48,11 @@ impl Board {
         pins.pb7.into_alternate::<7>();
         let wheels = port!(USART1, APB2_HZ, chip.USART1, wheels, DEVICE_QUEUES, &mut rcc)?;
 
-        let journal = chip::JournalPort::open(chip.UART4, &mut rcc);
+        let journal = JournalPort::open(chip.UART4, &mut rcc);
         let nonce = chip::boot_nonce(&chip.RNG, &mut rcc);
         // Before the watchdog starts, because erasing may take as long as its time.
         #[cfg(feature = "flash")]
-        let identity = super::flash::identity(chip.FLASH);
+        let identity = super::identity::identity(super::flash::Sectors(chip.FLASH));
         let watchdog = chip::Watchdog::start(chip.IWDG);
         let ports = [server, sensor, wheels];
         Some(Self {

@@ -1,4 +1,5 @@
-//! The robot's identity in the STM32F405's flash: the slots are its last two sectors, of 128 KiB each.
+//! The slots of the robot's identity in the STM32F405's flash: its last two sectors, of 128 KiB each.
+//! Erasing one takes 1 to 2 s, in which the core stands still: every 32,728 boots.
 //!
 //! The emulator ignores writing, so there a robot with a key refuses to run.
 
@@ -6,21 +7,9 @@ use core::ptr;
 
 use cortex_m::asm;
 use stm32f4xx_hal::pac::FLASH;
-use ubimap_agent::flash::{Identity, NorFlash, Seed, Slot, UNPROVISIONED, identify};
+use ubimap_agent::flash::{NorFlash, Slot};
 
-/// Where `ubimap provision` writes; it finds the place by its first bytes.
-static SEED: [u8; UNPROVISIONED.len()] = UNPROVISIONED;
-
-/// Reads the robot's identity and counts the boot: usually some milliseconds; 1 to 2 s, in which the core
-/// stands still, when a sector is erased, every 32,728 boots.
-pub(super) fn identity(flash: FLASH) -> Identity {
-    #[allow(unsafe_code, reason = "the compiler must not assume the static's value")]
-    // SAFETY: the pointer is that of a static.
-    let seed = unsafe { ptr::read_volatile(&raw const SEED) };
-    identify(&mut Sectors(flash), Seed::parse(&seed))
-}
-
-struct Sectors(FLASH);
+pub(super) struct Sectors(pub(super) FLASH);
 
 /// Size of a sector in bytes.
 const SECTOR: usize = 128 << 10;

@@ -1,19 +1,30 @@
-//! The boards that the firmware runs on, chosen by a cargo feature: the Feather STM32F405, or, with
-//! `crazyflie`, the Crazyflie 2.1. Both have an STM32F405.
+//! The boards that the firmware runs on, chosen by a cargo feature: the Feather STM32F405, with
+//! `crazyflie` the Crazyflie 2.1, with `pico` the Raspberry Pi Pico, with `pico2` the Pico 2.
+//!
+//! Another board with one of these chips is a file as thin as `feather_f405.rs`.
 
+#[cfg_attr(feature = "rp2", path = "rp2.rs")]
+#[cfg_attr(not(feature = "rp2"), path = "stm32f405.rs")]
 mod chip;
 #[cfg(feature = "flash")]
+#[cfg_attr(feature = "rp2", path = "no_flash.rs")]
 mod flash;
-#[cfg(feature = "crazyflie")]
-#[path = "crazyflie21.rs"]
-mod pins;
-#[cfg(not(feature = "crazyflie"))]
-#[path = "feather_f405.rs"]
+#[cfg(feature = "flash")]
+mod identity;
+#[cfg_attr(feature = "crazyflie", path = "crazyflie21.rs")]
+#[cfg_attr(feature = "rp2", path = "pico.rs")]
+#[cfg_attr(not(any(feature = "crazyflie", feature = "rp2")), path = "feather_f405.rs")]
 mod pins;
 mod ring;
+mod serial;
 
-pub(crate) use chip::{Clock, JournalPort, Serial, Watchdog, wait};
+use cortex_m::peripheral::NVIC;
+
+#[cfg(feature = "journal")]
+pub(crate) use chip::JournalPort;
+pub(crate) use chip::{Clock, Watchdog};
 pub(crate) use pins::Led;
+pub(crate) use serial::{Serial, wait};
 
 /// The devices of a board that the firmware uses.
 pub(crate) struct Board {
@@ -34,4 +45,28 @@ pub(crate) struct Board {
     /// The robot's number, key and parameters.
     #[cfg(feature = "flash")]
     pub(crate) identity: ubimap_agent::flash::Identity,
+}
+
+/// No port, because the image is built without a journal.
+#[cfg(not(feature = "journal"))]
+pub(crate) struct JournalPort;
+
+#[cfg(not(feature = "journal"))]
+impl JournalPort {
+    pub(crate) const IS_OPEN: bool = false;
+
+    pub(crate) fn write(&mut self, _: &[u8]) {}
+}
+
+#[allow(unsafe_code, reason = "unmasking is unsafe for those whose critical sections mask it")]
+fn unmask(interrupt: chip::Interrupt) {
+    // SAFETY: critical sections here mask all interrupts, so none relies on the mask of this one.
+    unsafe { NVIC::unmask(interrupt) }
+}
+
+/// Mixes a word into a number: the multiplication spreads low bits upwards, and the shift brings
+/// high bits down again.
+fn mix(number: u64, word: u32) -> u64 {
+    let spread = (number ^ u64::from(word)).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    spread ^ spread >> 32
 }

@@ -49,4 +49,24 @@ impl Ring {
         self.taken.store(taken.wrapping_add(1), Ordering::Release);
         Some(byte)
     }
+
+    /// Copies the oldest bytes, which stay. Returns them.
+    #[cfg(feature = "rp2")]
+    pub(super) fn copy<'b>(&self, bytes: &'b mut [u8]) -> &'b [u8] {
+        let taken = self.taken.load(Ordering::Relaxed);
+        let len = (self.bytes.len() - self.room()).min(bytes.len());
+        for (offset, byte) in bytes.iter_mut().take(len).enumerate() {
+            let at = taken.wrapping_add(offset) & (self.bytes.len() - 1);
+            *byte = self.bytes.get(at).map_or(0, |byte| byte.load(Ordering::Relaxed));
+        }
+        bytes.get(..len).unwrap_or_default()
+    }
+
+    /// Takes the oldest bytes, at most as many as there are.
+    #[cfg(feature = "rp2")]
+    pub(super) fn skip(&self, count: usize) {
+        let count = count.min(self.bytes.len() - self.room());
+        let taken = self.taken.load(Ordering::Relaxed);
+        self.taken.store(taken.wrapping_add(count), Ordering::Release);
+    }
 }

@@ -36,6 +36,7 @@ use ubimap_protocol::frame::DEFAULT_FRAME;
 /// Maximum length of a line: a name and a frame, in two hexadecimal digits per byte.
 const LINE: usize = 2 * DEFAULT_FRAME + 16;
 
+/// Repeats a journal.
 #[entry]
 fn main() -> ! {
     process::exit(i32::from(replay().is_none()))

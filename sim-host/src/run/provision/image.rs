@@ -16,6 +16,9 @@ pub enum ImageFault {
     /// The magic is there more than once, or the image ends within its seed.
     #[error("has several places for a robot's number, or an incomplete one; build it anew")]
     WrongPlace,
+    /// An ELF for a chip that takes no UF2 files, or another kind of file.
+    #[error("can't become a UF2 file: it is not an ELF image for an RP2040 or RP2350")]
+    NoUf2,
     /// An ELF or UF2 whose tables lead nowhere.
     #[error("is damaged: its {0} do not fit its length; build it anew")]
     Damaged(&'static str),
@@ -23,8 +26,9 @@ pub enum ImageFault {
 
 /// Writes a seed into an image, which is unchanged if that fails.
 pub(super) fn patch(image: &mut [u8], seed: &[u8; SEED_LEN]) -> Result<(), ImageFault> {
-    let pieces = if image.starts_with(b"\x7FELF") {
-        segments(image).ok_or(ImageFault::Damaged("segments"))?
+    let pieces = if image.starts_with(ELF_MAGIC) {
+        let segments = segments(image).ok_or(ImageFault::Damaged("segments"))?;
+        segments.into_iter().map(|(_, range)| vec![range]).collect()
     } else if word(image, 0) == Some(UF2_MAGIC[0]) {
         blocks(image).ok_or(ImageFault::Damaged("blocks"))?
     } else {
@@ -52,8 +56,11 @@ pub(super) fn patch(image: &mut [u8], seed: &[u8; SEED_LEN]) -> Result<(), Image
     }
 }
 
-/// The parts of the file that an ELF (32 bits, little-endian) loads: each segment is one.
-fn segments(elf: &[u8]) -> Option<Vec<Vec<Range<usize>>>> {
+/// The first bytes of an ELF.
+pub(super) const ELF_MAGIC: &[u8] = b"\x7FELF";
+
+/// The parts of the file that an ELF (32 bits, little-endian) loads, each with its physical address.
+pub(super) fn segments(elf: &[u8]) -> Option<Vec<(usize, Range<usize>)>> {
     const LOAD: usize = 1;
     if elf.get(4..6)? != [1, 1] {
         return None;
@@ -62,22 +69,23 @@ fn segments(elf: &[u8]) -> Option<Vec<Vec<Range<usize>>>> {
     let mut found = Vec::new();
     for index in 0..count {
         let header = table + index * size;
-        let (kind, from, len) =
-            (word(elf, header)?, word(elf, header + 4)?, word(elf, header + 16)?);
+        let [kind, from, address, len] =
+            [0, 4, 12, 16].map(|field| word(elf, header.checked_add(field)?));
+        let (kind, from, len) = (kind?, from?, len?);
         if kind == LOAD {
             let range = from..from.checked_add(len)?;
             elf.get(range.clone())?;
-            found.push(vec![range]);
+            found.push((address?, range));
         }
     }
     Some(found)
 }
 
 /// The first, second and last word of a UF2 block.
-const UF2_MAGIC: [usize; 3] = [0x0A32_4655, 0x9E5D_5157, 0x0AB1_6F30];
+pub(super) const UF2_MAGIC: [usize; 3] = [0x0A32_4655, 0x9E5D_5157, 0x0AB1_6F30];
 
 /// Size of a UF2 block, its header and its last word, in bytes.
-const UF2_BLOCK: usize = 512;
+pub(super) const UF2_BLOCK: usize = 512;
 
 /// The parts of the file that a UF2 flashes, in the order of their addresses: blocks that follow each
 /// other in flash are one piece.
@@ -125,7 +133,7 @@ fn half(bytes: &[u8], at: usize) -> Option<usize> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{super::uf2, *};
     use ubimap_agent::flash::UNPROVISIONED;
 
     const SEED: [u8; SEED_LEN] = [0x5A; SEED_LEN];
@@ -138,22 +146,9 @@ mod tests {
         [&[1; 200][..], &SEED, &[2; 300]].concat()
     }
 
-    /// The blocks of a UF2 of a flash at 0x1000_0000.
     fn uf2(flash: &[u8]) -> Vec<u8> {
-        let count = flash.len().div_ceil(256) as u32;
-        let mut file = Vec::new();
-        for (index, part) in flash.chunks(256).enumerate() {
-            let address = 0x1000_0000 + 256 * index as u32;
-            let [first, second, last] = UF2_MAGIC.map(|it| it as u32);
-            let len = part.len() as u32;
-            let header = [first, second, 0x2000, address, len, index as u32, count, 0xE48B_FF56];
-            let mut block: Vec<u8> = header.iter().flat_map(|it| it.to_le_bytes()).collect();
-            block.extend(part);
-            block.resize(508, 0);
-            block.extend(last.to_le_bytes());
-            file.extend(block);
-        }
-        file
+        let pages = flash.chunks(256).enumerate();
+        uf2::file(&pages.map(|(index, page)| (256 * index as u32, page.to_vec())).collect(), 1)
     }
 
     /// An ELF with one segment, and the magic once more behind it, as debug information.

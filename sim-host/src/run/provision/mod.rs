@@ -1,6 +1,7 @@
 //! `ubimap provision`: a robot's number, key and parameters in a firmware image.
 
 mod image;
+mod uf2;
 
 use std::{
     path::{Path, PathBuf},
@@ -46,7 +47,8 @@ pub struct ProvisionOptions {
     #[arg(long, value_name = "NAME=VALUE")]
     pub set: Vec<String>,
 
-    /// Where to write the image [default: in its place]
+    /// Where to write the image [default: in its place]; a name that ends in .uf2 makes a UF2 file of an ELF image
+    /// for the RP2040 or RP2350
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
@@ -100,9 +102,13 @@ pub fn run(options: &ProvisionOptions) -> Result<String, ProvisionError> {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let boots = u32::try_from(since.as_secs()).unwrap_or(u32::MAX / 2);
     let record = Record { robot: RobotId(options.id), key, boots, parameters };
-    image::patch(&mut image, &Seed::to_bytes(&record))
-        .map_err(|fault| ProvisionError::Image { path: path.clone(), fault })?;
+    let refuse = |fault| ProvisionError::Image { path: path.clone(), fault };
+    image::patch(&mut image, &Seed::to_bytes(&record)).map_err(refuse)?;
     let out: &Path = options.out.as_deref().unwrap_or(path);
+    let is_uf2 = |path: &Path| path.extension().is_some_and(|it| it.eq_ignore_ascii_case("uf2"));
+    if is_uf2(out) && !is_uf2(path) {
+        image = uf2::from_elf(&image).map_err(refuse)?;
+    }
     OutputFile::create(out)?.finish(&image)?;
     let link = if record.key.is_some() { "a sealed link" } else { "an open link" };
     let count = record.parameters.len();

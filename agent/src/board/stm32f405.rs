@@ -3,24 +3,29 @@
 //! The same image runs on the chip and in QEMU's `netduinoplus2`, which does not model the clock
 //! control (RCC): its core always runs at 168 MHz, and no ready bit is ever set.
 
-use core::{cell::Cell, sync::atomic::AtomicU8};
+use core::cell::Cell;
 
 use cortex_m::{
-    asm,
     interrupt::{self as interrupts, Mutex},
-    peripheral::{NVIC, SCB, SYST, syst::SystClkSource},
+    peripheral::{SCB, SYST, syst::SystClkSource},
 };
 use cortex_m_rt::exception;
 use embedded_hal::delay::DelayNs;
+pub(super) use stm32f4xx_hal::pac::Interrupt;
 use stm32f4xx_hal::{
     interrupt,
-    pac::{FLASH, IWDG, Interrupt, RCC, RNG, TIM2, UART4, usart1},
+    pac::{FLASH, IWDG, RCC, RNG, TIM2, UART4, usart1},
     rcc::{Enable, Rcc},
     signature::Uid,
 };
 use ubimap_protocol::time::Instant;
 
-use super::ring::Ring;
+#[cfg(not(feature = "journal"))]
+use super::JournalPort;
+use super::{
+    mix,
+    serial::{Queues, Serial},
+};
 
 /// The core clock: set by the PLL on the chip, fixed in the emulator.
 const CORE_HZ: u32 = 168_000_000;
@@ -144,7 +149,7 @@ pub(super) fn start_alarm(timer: TIM2, timer_hz: u32, rcc: &mut Rcc) {
     timer.dier().write(|w| w.uie().set_bit());
     timer.cr1().write(|w| w.cen().set_bit());
     interrupts::free(|cs| ALARM.borrow(cs).set(Some(timer)));
-    unmask(Interrupt::TIM2);
+    super::unmask(Interrupt::TIM2);
 }
 
 /// TIM2's clock in the emulator. The timer only wakes the core, so a different value in another
@@ -165,85 +170,6 @@ fn TIM2() {
     }
 }
 
-/// Bytes between the main loop and the interrupt of a port.
-pub(super) struct Queues {
-    /// Received bytes waiting for the main loop.
-    received: Ring,
-    /// Bytes waiting to be sent.
-    queued: Ring,
-}
-
-impl Queues {
-    pub(super) const fn new(received: &'static [AtomicU8], queued: &'static [AtomicU8]) -> Self {
-        Self { received: Ring::new(received), queued: Ring::new(queued) }
-    }
-}
-
-/// A serial port. Its interrupt moves bytes between the USART and two queues.
-pub(crate) struct Serial {
-    queues: &'static Queues,
-    interrupt: Interrupt,
-}
-
-impl Serial {
-    /// Reads received bytes. Returns their number.
-    pub(crate) fn read(&mut self, buffer: &mut [u8]) -> usize {
-        let mut count = 0;
-        for place in buffer {
-            let Some(byte) = self.queues.received.take() else { break };
-            *place = byte;
-            count += 1;
-        }
-        if count > 0 {
-            self.serve_soon();
-        }
-        count
-    }
-
-    /// Number of bytes that [`Serial::write`] accepts now.
-    pub(crate) fn room(&self) -> usize {
-        self.queues.queued.room()
-    }
-
-    /// Queues bytes to be sent. Returns the number of bytes queued, which is smaller than given if
-    /// the queue is full.
-    pub(crate) fn write(&mut self, bytes: &[u8]) -> usize {
-        let mut count = 0;
-        for &byte in bytes {
-            if !self.queues.queued.put(byte) {
-                break;
-            }
-            count += 1;
-        }
-        self.serve_soon();
-        count
-    }
-
-    /// Triggers the interrupt after the main loop has changed the queues.
-    fn serve_soon(&self) {
-        NVIC::pend(self.interrupt);
-    }
-}
-
-/// Sizes of the queues of the port to the server, in bytes: 44 ms of received bytes at 115,200 baud,
-/// and a frame of the link to be sent.
-pub(super) const SERVER_QUEUES: [usize; 2] = [512, 256];
-
-/// Sizes of the queues of a device's port: 22 ms of received bytes, several times what the main loop
-/// takes at the most, and a command to be sent.
-pub(super) const DEVICE_QUEUES: [usize; 2] = [256, 32];
-
-/// Sleeps until bytes arrive at a port or the alarm fires, which is at most one millisecond.
-pub(crate) fn wait(ports: &[Serial]) {
-    // Interrupts are masked, so that none is handled between the check and the sleep; a pending one
-    // still wakes the core.
-    interrupts::free(|_| {
-        if ports.iter().all(|port| port.queues.received.is_empty()) {
-            asm::wfi();
-        }
-    });
-}
-
 /// Starts a USART and the interrupt that serves it.
 pub(super) fn start_port(
     usart: &usart1::RegisterBlock,
@@ -259,7 +185,7 @@ pub(super) fn start_port(
         w.div_mantissa().set((divisor >> 4) as u16).div_fraction().set((divisor & 0xF) as u8)
     });
     usart.cr1().write(|w| w.ue().set_bit().te().set_bit().re().set_bit().rxneie().set_bit());
-    Some(Serial { queues, interrupt })
+    Some(Serial::new(queues, interrupt))
 }
 
 /// Moves bytes between a USART and its queues: its interrupt.
@@ -298,7 +224,11 @@ macro_rules! port {
             rcc::Enable,
         };
 
-        use crate::board::chip::{Queues, serve, start_port, unmask};
+        use crate::board::{
+            chip::{serve, start_port},
+            serial::Queues,
+            unmask,
+        };
 
         const SIZES: [usize; 2] = $sizes;
         static RECEIVED: [AtomicU8; SIZES[0]] = [const { AtomicU8::new(0) }; _];
@@ -355,19 +285,12 @@ impl JournalPort {
     }
 }
 
-/// No port, because the image is built without a journal.
-#[cfg(not(feature = "journal"))]
-pub(crate) struct JournalPort;
-
+/// There is no journal.
 #[cfg(not(feature = "journal"))]
 impl JournalPort {
-    pub(crate) const IS_OPEN: bool = false;
-
     pub(super) fn open(_: UART4, _: &mut Rcc) -> Self {
         Self
     }
-
-    pub(crate) fn write(&mut self, _: &[u8]) {}
 }
 
 /// The watchdog resets the robot if the main loop has not run for 2 s.
@@ -396,12 +319,6 @@ pub(super) fn was_reset_by_watchdog(rcc: &RCC) -> bool {
     was
 }
 
-#[allow(unsafe_code, reason = "unmasking is unsafe for those whose critical sections mask it")]
-pub(super) fn unmask(interrupt: Interrupt) {
-    // SAFETY: critical sections here mask all interrupts, so none relies on the mask of this one.
-    unsafe { NVIC::unmask(interrupt) }
-}
-
 /// A number that differs from boot to boot. It combines the chip's random number generator, its
 /// unique id, and the phase of the clock. In the emulator only the phase is available, which
 /// depends on the host's speed: it distinguishes boots, but is not secret.
@@ -423,11 +340,4 @@ pub(super) fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
         nonce = uid.lot_num().bytes().fold(nonce, |nonce, byte| mix(nonce, byte.into()));
     }
     mix(nonce, SYST::get_current())
-}
-
-/// Mixes a word into a number: the multiplication spreads low bits upwards, and the shift brings
-/// high bits down again.
-fn mix(number: u64, word: u32) -> u64 {
-    let spread = (number ^ u64::from(word)).wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    spread ^ spread >> 32
 }

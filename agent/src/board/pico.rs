@@ -1,0 +1,51 @@
+//! The Raspberry Pi Pico (RP2040) and Pico 2 (RP2350), whose pins are the same.
+//!
+//! | printed | pin | use |
+//! |---|---|---|
+//! | USB | USB | serial port (CDC-ACM), to and from the server |
+//! | GP0, GP1 | GPIO0, GPIO1 | UART0, to and from the depth sensor |
+//! | GP4, GP5 | GPIO4, GPIO5 | UART1, to and from the wheels |
+//! | LED | GPIO25 | status LED (green), lit by a high level |
+
+use super::{
+    Board, JournalPort,
+    chip::{
+        self,
+        hal::gpio::{FunctionSioOutput, Pin, PullDown, bank0::Gpio25},
+        port,
+    },
+    flash::NoFlash,
+    identity::identity,
+    serial::DEVICE_QUEUES,
+};
+
+/// The status LED.
+pub(crate) type Led = Pin<Gpio25, FunctionSioOutput, PullDown>;
+
+impl Board {
+    /// Sets up the board, with the baud rates of the sensor and the wheels; USB needs none. `None` if it was
+    /// set up before, or the crystal does not start.
+    pub(crate) fn take([_, sensor, wheels]: [u32; 3]) -> Option<Self> {
+        let mut chip = chip::start()?;
+        let pins = chip.pins;
+        let server = chip::start_usb(chip.usb)?;
+        let parts = (chip.uart0, pins.gpio0, pins.gpio1);
+        let sensor = port!(UART0, UART0_IRQ, Gpio0, Gpio1, parts, sensor, DEVICE_QUEUES, chip)?;
+        let parts = (chip.uart1, pins.gpio4, pins.gpio5);
+        let wheels = port!(UART1, UART1_IRQ, Gpio4, Gpio5, parts, wheels, DEVICE_QUEUES, chip)?;
+
+        let led = pins.gpio25.into_push_pull_output();
+        let identity = identity(NoFlash);
+        chip.watchdog.begin();
+        Some(Self {
+            clock: chip.clock,
+            ports: [server, sensor, wheels],
+            journal: JournalPort,
+            led,
+            watchdog: chip.watchdog,
+            was_reset_by_watchdog: chip.was_reset_by_watchdog,
+            nonce: chip.nonce,
+            identity,
+        })
+    }
+}
