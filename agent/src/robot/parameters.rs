@@ -64,7 +64,8 @@ fn halves(value: i32) -> (u16, u16) {
 const NONE: i32 = -1;
 
 impl Parameter {
-    const ALL: &[Self] = &[
+    /// All parameters, in the order of their numbers.
+    pub const ALL: &[Self] = &[
         Self::MountingX,
         Self::MountingY,
         Self::MountingHeading,
@@ -85,7 +86,26 @@ impl Parameter {
         Self::ALL.chunks(1).find(found).unwrap_or_default()
     }
 
-    fn range(self) -> (i32, i32) {
+    /// The parameter's name, for people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::MountingX => "mounting-x",
+            Self::MountingY => "mounting-y",
+            Self::MountingHeading => "mounting-heading",
+            Self::GateDistance => "gate-distance",
+            Self::GateTurn => "gate-turn",
+            Self::Hold => "hold",
+            Self::ScanDeadline => "scan-deadline",
+            Self::FirstEpoch => "first-epoch",
+            Self::RemovedPixels => "removed-pixels",
+            Self::RemovedBearings => "removed-bearings",
+            Self::RemovedDistances => "removed-distances",
+            Self::Exposure => "exposure",
+        }
+    }
+
+    /// The minimum and the maximum of its values.
+    pub fn range(self) -> (i32, i32) {
         match self {
             Self::MountingX | Self::MountingY => (-2_000, 2_000),
             Self::MountingHeading => (-32_768, 65_535),
