@@ -47,7 +47,7 @@ use crate::{
 /// Speed of serial ports, other than a lidar's, in bits per second.
 const BAUD: u32 = 115_200;
 /// The beginning of `sensor` for a lidar.
-const LIDAR: &str = "ld06:";
+pub(in crate::run) const LIDAR: &str = "ld06:";
 /// Number of readings in a lidar's scan: one per degree.
 const LIDAR_READINGS: usize = 360;
 /// Interval between attempts to open a port that has hung up.
@@ -142,7 +142,7 @@ mod usual {
         [0.1, 0.0]
     }
     pub(super) fn fov_deg() -> f64 {
-        70.0
+        super::RobotFile::FOV_DEG
     }
     pub(super) fn max_range_m() -> f64 {
         2.5
@@ -153,6 +153,9 @@ mod usual {
 }
 
 impl RobotFile {
+    /// The field of view of an A010, in degrees.
+    pub const FOV_DEG: f64 = 70.0;
+
     /// Reads a file.
     ///
     /// # Errors

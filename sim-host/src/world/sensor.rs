@@ -39,6 +39,8 @@ pub struct RangeSensor {
     y: f64,
     heading: f64,
     askew: f64,
+    /// How far it looks down, in radians.
+    tilt: f64,
     height: f64,
     fov: f64,
     beams: usize,
@@ -150,6 +152,7 @@ impl RangeSensor {
             y: config.y_m,
             heading: config.heading_deg.to_radians(),
             askew: config.askew_deg.to_radians(),
+            tilt: config.tilt_deg.to_radians(),
             height: config.height_m,
             fov: config.fov_deg.to_radians(),
             beams: config.beams.max(2),
@@ -190,9 +193,14 @@ impl RangeSensor {
                 let fixed = room.first_hit(from, way, self.max_range).map(|(_, range)| range);
                 let moving =
                     near.iter().filter_map(|prism| prism.first_hit(from, way, self.max_range));
-                moving.chain(fixed).reduce(f64::min)
+                // A level ray meets no floor.
+                let floor = (way.z < 0.0).then(|| self.height / -way.z);
+                moving.chain(fixed).chain(floor).reduce(f64::min)
             };
-            self.ways(axis, beam).filter_map(meets).reduce(f64::min)
+            self.ways(axis, beam)
+                .map(|way| self.tilted(axis, way))
+                .filter_map(meets)
+                .reduce(f64::min)
         });
         let ranges: Vec<Option<f64>> = ranges.collect();
         // One random number for each beam, hit or not, so that distant people do not shift the noise.
@@ -243,6 +251,18 @@ impl RangeSensor {
             let (across, up) = (part(ray % rays) - 0.5, part(ray / rays));
             (middle + aside * (across * side)).extend(up * side)
         })
+    }
+
+    /// A ray of a level sensor as that of the tilted one.
+    fn tilted(&self, axis: f64, way: DVec3) -> DVec3 {
+        if self.tilt == 0.0 {
+            return way;
+        }
+        let forward = DVec2::new(cos(axis), sin(axis));
+        let (level, (sine, cosine)) = (way.truncate(), (sin(self.tilt), cos(self.tilt)));
+        let ahead = level.dot(forward);
+        let turned = level + forward * (ahead * (cosine - 1.0) + way.z * sine);
+        turned.extend(way.z * cosine - ahead * sine)
     }
 
     fn reading(&self, range: f64) -> u16 {

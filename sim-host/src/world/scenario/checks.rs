@@ -298,6 +298,7 @@ impl Scenario {
         self.number(&key_of("height_m"), sensor.height_m, 0.0..=self.room.height_m)?;
         self.angle(&key_of("heading_deg"), sensor.heading_deg)?;
         self.angle(&key_of("askew_deg"), sensor.askew_deg)?;
+        self.number(&key_of("tilt_deg"), sensor.tilt_deg, -45.0..=45.0)?;
         let widest = if sensor.preset == SensorPreset::Beams { 360.0 } else { 170.0 };
         self.number(&key_of("fov_deg"), sensor.fov_deg, 0.1..=widest)?;
         if sensor.preset == SensorPreset::GreyCamera && sensor.beams != 320 {
