@@ -1,5 +1,6 @@
 //! A simulated LDROBOT LD06 lidar, which turns and sends packets without being asked.
 
+use ubimap_agent::sense::NOTHING_IN_RANGE;
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::line::Line;
@@ -84,9 +85,14 @@ fn packet(from: Instant, around: &[u16]) -> Vec<u8> {
         // Counter-clockwise from behind; the beams are in the middles of their sectors.
         let behind = (FULL / 2 + FULL - point(index)) % FULL;
         let beam = behind as usize * around.len() / FULL as usize;
-        let distance = around[beam];
+        let (distance, confidence) = match around[beam] {
+            NOTHING_IN_RANGE => (0, 0),
+            // What is too near gives a wrong distance, which the sensor does not trust.
+            0 => (1, 0),
+            distance => (distance, CONFIDENCE),
+        };
         bytes.extend(distance.to_le_bytes());
-        bytes.push(if distance == 0 { 0 } else { CONFIDENCE });
+        bytes.push(confidence);
     }
     bytes.extend((point(POINTS - 1) as u16).to_le_bytes());
     bytes.extend(((from.micros() / 1_000 % 30_000) as u16).to_le_bytes());
