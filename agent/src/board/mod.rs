@@ -11,6 +11,8 @@ mod chip;
 mod flash;
 #[cfg(feature = "flash")]
 mod identity;
+#[cfg(feature = "motors")]
+mod motors;
 #[cfg_attr(feature = "crazyflie", path = "crazyflie21.rs")]
 #[cfg_attr(feature = "rp2", path = "pico.rs")]
 #[cfg_attr(not(any(feature = "crazyflie", feature = "rp2")), path = "feather_f405.rs")]
@@ -23,6 +25,8 @@ use cortex_m::peripheral::NVIC;
 #[cfg(feature = "journal")]
 pub(crate) use chip::JournalPort;
 pub(crate) use chip::{Clock, Watchdog};
+#[cfg(feature = "motors")]
+pub(crate) use motors::{LeftMotor, RightMotor};
 pub(crate) use pins::Led;
 pub(crate) use serial::{Serial, wait};
 
@@ -45,6 +49,11 @@ pub(crate) struct Board {
     /// The robot's number, key and parameters.
     #[cfg(feature = "flash")]
     pub(crate) identity: ubimap_agent::flash::Identity,
+    /// The motors until the robot takes them, and their encoders.
+    #[cfg(feature = "motors")]
+    pub(crate) motors: Option<motors::Motors>,
+    #[cfg(feature = "motors")]
+    pub(crate) encoders: motors::Encoders,
 }
 
 /// No port, because the image is built without a journal.

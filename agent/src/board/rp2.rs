@@ -68,6 +68,8 @@ pub(super) struct Chip {
     pub(super) uart0: UART0,
     pub(super) uart1: UART1,
     pub(super) usb: UsbBusAllocator<UsbBus>,
+    #[cfg(feature = "motors")]
+    pub(super) pwm: pac::PWM,
 }
 
 /// Starts the clocks by the crystal: the RP2040's core at 125 MHz, the RP2350's at 150 MHz, USB at 48 MHz.
@@ -80,6 +82,8 @@ pub(super) fn start() -> Option<Chip> {
         PADS_BANK0,
         PLL_SYS,
         PLL_USB,
+        #[cfg(feature = "motors")]
+            PWM: pwm,
         RESETS: mut resets,
         ROSC,
         SIO,
@@ -130,6 +134,8 @@ pub(super) fn start() -> Option<Chip> {
         uart1: UART1,
         usb: UsbBusAllocator::new(UsbBus::new(usb, usb_dpram, clocks.usb_clock, true, &mut resets)),
         resets,
+        #[cfg(feature = "motors")]
+        pwm,
     })
 }
 

@@ -6,6 +6,7 @@
 //! | [`ld06`] | the lidar LDROBOT LD06 |
 //! | [`create2`] | the mobile base iRobot Create 2 |
 //! | [`pwm_motors`] | two DC motors with encoders, on drivers with direction pins and PWM |
+//! | [`quadrature`] | an encoder with two signals |
 //! | [`diff_drive`] | the geometry of two driven wheels |
 //!
 //! A [`DepthSensor`] makes scans of bytes, [`Wheels`] make odometry of bytes and bytes of commands. A
@@ -18,6 +19,7 @@ mod depth_sensor;
 pub mod diff_drive;
 pub mod ld06;
 pub mod pwm_motors;
+pub mod quadrature;
 mod wheels;
 
 pub use depth_sensor::{DepthSensor, Scan, SensorCounters};

@@ -10,6 +10,9 @@ mod configuration;
 mod driving;
 mod journal;
 mod robot;
+#[cfg_attr(feature = "motors", path = "motors.rs")]
+#[cfg_attr(not(feature = "motors"), path = "create2.rs")]
+mod wheels;
 
 use board::Board;
 use configuration::{BAUDS, BOUNDS, SLICE_LENGTH};

@@ -9,6 +9,9 @@ mod board;
 mod configuration;
 mod journal;
 mod robot;
+#[cfg_attr(feature = "motors", path = "motors.rs")]
+#[cfg_attr(not(feature = "motors"), path = "create2.rs")]
+mod wheels;
 
 use board::Board;
 use configuration::{BAUDS, BOUNDS, SLICE_LENGTH};
