@@ -19,6 +19,8 @@ mod motors;
 mod pins;
 mod ring;
 mod serial;
+#[cfg(feature = "vl53")]
+mod vl53;
 
 use cortex_m::peripheral::NVIC;
 
@@ -54,6 +56,9 @@ pub(crate) struct Board {
     pub(crate) motors: Option<motors::Motors>,
     #[cfg(feature = "motors")]
     pub(crate) encoders: motors::Encoders,
+    /// The sensor of 8 x 8 zones; `None` if it does not answer.
+    #[cfg(feature = "vl53")]
+    pub(crate) zones: Option<vl53::ZoneSensor>,
 }
 
 /// No port, because the image is built without a journal.

@@ -5,6 +5,7 @@
 //! | USB | USB | serial port (CDC-ACM), to and from the server |
 //! | GP0, GP1 | GPIO0, GPIO1 | UART0, to and from the depth sensor |
 //! | GP4, GP5 | GPIO4, GPIO5 | UART1, to and from the wheels |
+//! | GP8, GP9 | GPIO8, GPIO9 | with `vl53`: SDA and SCL of the sensor, pulled up |
 //! | GP10, GP11 | GPIO10, GPIO11 | with `motors`: A and B of the left encoder, pulled up |
 //! | GP12, GP13 | GPIO12, GPIO13 | with `motors`: A and B of the right encoder, pulled up |
 //! | GP16, GP17 | GPIO16, GPIO17 | with `motors`: PWM of the left and of the right motor (PWMA, PWMB) |
@@ -53,6 +54,14 @@ impl Board {
             [pins.gpio10.reconfigure().into_dyn_pin(), pins.gpio11.reconfigure().into_dyn_pin()],
             [pins.gpio12.reconfigure().into_dyn_pin(), pins.gpio13.reconfigure().into_dyn_pin()],
         ]);
+        #[cfg(feature = "vl53")]
+        let zones = super::vl53::ZoneSensor::start(
+            chip.i2c,
+            (pins.gpio8, pins.gpio9),
+            &mut chip.resets,
+            chip.system_clock,
+            chip.clock,
+        );
         let identity = identity(NoFlash);
         chip.watchdog.begin();
         Some(Self {
@@ -68,6 +77,8 @@ impl Board {
             motors: Some(motors),
             #[cfg(feature = "motors")]
             encoders,
+            #[cfg(feature = "vl53")]
+            zones,
         })
     }
 }

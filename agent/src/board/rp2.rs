@@ -70,6 +70,11 @@ pub(super) struct Chip {
     pub(super) usb: UsbBusAllocator<UsbBus>,
     #[cfg(feature = "motors")]
     pub(super) pwm: pac::PWM,
+    #[cfg(feature = "vl53")]
+    pub(super) i2c: pac::I2C0,
+    /// The clock of the core and of I2C.
+    #[cfg(feature = "vl53")]
+    pub(super) system_clock: HertzU32,
 }
 
 /// Starts the clocks by the crystal: the RP2040's core at 125 MHz, the RP2350's at 150 MHz, USB at 48 MHz.
@@ -84,6 +89,8 @@ pub(super) fn start() -> Option<Chip> {
         PLL_USB,
         #[cfg(feature = "motors")]
             PWM: pwm,
+        #[cfg(feature = "vl53")]
+            I2C0: i2c,
         RESETS: mut resets,
         ROSC,
         SIO,
@@ -136,6 +143,10 @@ pub(super) fn start() -> Option<Chip> {
         resets,
         #[cfg(feature = "motors")]
         pwm,
+        #[cfg(feature = "vl53")]
+        i2c,
+        #[cfg(feature = "vl53")]
+        system_clock: clocks.system_clock.freq(),
     })
 }
 

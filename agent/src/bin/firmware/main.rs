@@ -6,6 +6,7 @@
 #[path = "../../board/mod.rs"]
 mod board;
 #[cfg_attr(feature = "ld06", path = "lidar.rs")]
+#[cfg_attr(all(feature = "vl53", not(feature = "ld06")), path = "zones.rs")]
 mod configuration;
 mod driving;
 mod journal;

@@ -122,6 +122,7 @@ fn turn<D: Drive>(
         }
         let now = board.clock.now();
         journal.note(&mut board.journal, now, Entry::Timeout);
+        look(board, machine, now);
         wheels::count(board, machine, now);
         machine.timeout(now);
         for (serial, port) in board.ports.iter_mut().zip(served.iter().copied()) {
@@ -146,6 +147,22 @@ fn turn<D: Drive>(
         }
     }
 }
+
+/// Passes a frame of a sensor that is not at a port on to the robot, if there is one.
+#[cfg(feature = "vl53")]
+fn look<D: Drive>(
+    board: &mut Board,
+    machine: &mut Machine<'_, impl DepthSensor, Base, D>,
+    now: Instant,
+) {
+    if let Some(frame) = board.zones.as_mut().and_then(|sensor| sensor.frame(now)) {
+        machine.receive(Port::Sensor, &frame, now);
+    }
+}
+
+/// The sensor is at a port.
+#[cfg(not(feature = "vl53"))]
+fn look<D: Drive>(_: &Board, _: &Machine<'_, impl DepthSensor, Base, D>, _: Instant) {}
 
 /// Maximum length of a command to a device, in bytes.
 const MAX_COMMAND: usize = 32;
