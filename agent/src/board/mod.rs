@@ -11,18 +11,24 @@ mod chip;
 mod flash;
 #[cfg(feature = "flash")]
 mod identity;
+#[cfg(feature = "motors")]
+mod motors;
 #[cfg_attr(feature = "crazyflie", path = "crazyflie21.rs")]
 #[cfg_attr(feature = "rp2", path = "pico.rs")]
 #[cfg_attr(not(any(feature = "crazyflie", feature = "rp2")), path = "feather_f405.rs")]
 mod pins;
 mod ring;
 mod serial;
+#[cfg(feature = "vl53")]
+mod vl53;
 
 use cortex_m::peripheral::NVIC;
 
 #[cfg(feature = "journal")]
 pub(crate) use chip::JournalPort;
 pub(crate) use chip::{Clock, Watchdog};
+#[cfg(feature = "motors")]
+pub(crate) use motors::{LeftMotor, RightMotor};
 pub(crate) use pins::Led;
 pub(crate) use serial::{Serial, wait};
 
@@ -45,6 +51,14 @@ pub(crate) struct Board {
     /// The robot's number, key and parameters.
     #[cfg(feature = "flash")]
     pub(crate) identity: ubimap_agent::flash::Identity,
+    /// The motors until the robot takes them, and their encoders.
+    #[cfg(feature = "motors")]
+    pub(crate) motors: Option<motors::Motors>,
+    #[cfg(feature = "motors")]
+    pub(crate) encoders: motors::Encoders,
+    /// The sensor of 8 x 8 zones; `None` if it does not answer.
+    #[cfg(feature = "vl53")]
+    pub(crate) zones: Option<vl53::ZoneSensor>,
 }
 
 /// No port, because the image is built without a journal.

@@ -68,6 +68,13 @@ pub(super) struct Chip {
     pub(super) uart0: UART0,
     pub(super) uart1: UART1,
     pub(super) usb: UsbBusAllocator<UsbBus>,
+    #[cfg(feature = "motors")]
+    pub(super) pwm: pac::PWM,
+    #[cfg(feature = "vl53")]
+    pub(super) i2c: pac::I2C0,
+    /// The clock of the core and of I2C.
+    #[cfg(feature = "vl53")]
+    pub(super) system_clock: HertzU32,
 }
 
 /// Starts the clocks by the crystal: the RP2040's core at 125 MHz, the RP2350's at 150 MHz, USB at 48 MHz.
@@ -80,6 +87,10 @@ pub(super) fn start() -> Option<Chip> {
         PADS_BANK0,
         PLL_SYS,
         PLL_USB,
+        #[cfg(feature = "motors")]
+            PWM: pwm,
+        #[cfg(feature = "vl53")]
+            I2C0: i2c,
         RESETS: mut resets,
         ROSC,
         SIO,
@@ -130,6 +141,12 @@ pub(super) fn start() -> Option<Chip> {
         uart1: UART1,
         usb: UsbBusAllocator::new(UsbBus::new(usb, usb_dpram, clocks.usb_clock, true, &mut resets)),
         resets,
+        #[cfg(feature = "motors")]
+        pwm,
+        #[cfg(feature = "vl53")]
+        i2c,
+        #[cfg(feature = "vl53")]
+        system_clock: clocks.system_clock.freq(),
     })
 }
 

@@ -6,9 +6,13 @@
 #[path = "../../board/mod.rs"]
 mod board;
 #[cfg_attr(feature = "ld06", path = "lidar.rs")]
+#[cfg_attr(all(feature = "vl53", not(feature = "ld06")), path = "zones.rs")]
 mod configuration;
 mod journal;
 mod robot;
+#[cfg_attr(feature = "motors", path = "motors.rs")]
+#[cfg_attr(not(feature = "motors"), path = "create2.rs")]
+mod wheels;
 
 use board::Board;
 use configuration::{BAUDS, BOUNDS, SLICE_LENGTH};

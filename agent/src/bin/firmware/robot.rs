@@ -7,9 +7,7 @@ use embedded_hal::{delay::DelayNs, digital::OutputPin};
 #[cfg(feature = "flash")]
 use ubimap_agent::flash::Identity;
 use ubimap_agent::{
-    Config, ConfigError, Machine, Memory, Port, Storage,
-    device::{DepthSensor, create2::Create2},
-    drive::Drive,
+    Config, ConfigError, Machine, Memory, Port, Storage, device::DepthSensor, drive::Drive,
     journal::Entry,
 };
 #[cfg(feature = "flash")]
@@ -20,6 +18,7 @@ use crate::{
     board::{self, Board, Clock, Led},
     configuration,
     journal::Journal,
+    wheels::{self, Base},
 };
 
 /// Without a session the status LED blinks: this is the time for which it is on, and then off, as a
@@ -36,7 +35,7 @@ pub(crate) fn run<D: Drive>(
     let nonce = (board.nonce ^ board.nonce >> 32) as u32;
     let Some(served) = served(&board) else { fail(&mut board, Fault::Flash) };
     // Borrowed, because moving it would take twice its size of stack.
-    match &mut machine(&board, nonce, drive, memory, slice) {
+    match &mut machine(&mut board, nonce, drive, memory, slice) {
         Some(Ok(machine)) => {
             if board.was_reset_by_watchdog {
                 machine.report_watchdog(board.clock.now());
@@ -66,19 +65,20 @@ fn served(_: &Board) -> Option<&'static [Port]> {
     Some(&PORTS)
 }
 
-/// The robot with its devices; `None` if the slice is not one of the sensor's images.
+/// The robot with its devices; `None` if the slice is not one of the sensor's images, or the wheels are
+/// taken.
 // Not inlined, so that the parts that it is made of leave the stack. The result is written in place.
 #[inline(never)]
 fn machine<D: Drive, S: Storage>(
-    board: &Board,
+    board: &mut Board,
     boot_nonce: u32,
     drive: D,
     memory: &'static mut Memory<S, D>,
     slice: &'static mut [u16],
-) -> Option<Result<Machine<'static, impl DepthSensor + use<D, S>, Create2, D>, ConfigError>> {
+) -> Option<Result<Machine<'static, impl DepthSensor + use<D, S>, Base, D>, ConfigError>> {
     let sensor = configuration::sensor(slice)?;
     let config = identified(board, configuration::config(boot_nonce)).with_drive(drive);
-    Some(Machine::new(config, memory, sensor, Create2::new()))
+    Some(Machine::new(config, memory, sensor, wheels::base(board)?))
 }
 
 /// Completes a configuration by what the board's flash says.
@@ -104,7 +104,7 @@ fn identified(_: &Board, config: Config) -> Config {
 /// byte.
 fn turn<D: Drive>(
     board: &mut Board,
-    machine: &mut Machine<'_, impl DepthSensor, Create2, D>,
+    machine: &mut Machine<'_, impl DepthSensor, Base, D>,
     mut journal: Journal,
     served: &'static [Port],
 ) -> ! {
@@ -122,6 +122,8 @@ fn turn<D: Drive>(
         }
         let now = board.clock.now();
         journal.note(&mut board.journal, now, Entry::Timeout);
+        look(board, machine, now);
+        wheels::count(board, machine, now);
         machine.timeout(now);
         for (serial, port) in board.ports.iter_mut().zip(served.iter().copied()) {
             let largest = if port == Port::Server { DEFAULT_FRAME } else { MAX_COMMAND };
@@ -145,6 +147,22 @@ fn turn<D: Drive>(
         }
     }
 }
+
+/// Passes a frame of a sensor that is not at a port on to the robot, if there is one.
+#[cfg(feature = "vl53")]
+fn look<D: Drive>(
+    board: &mut Board,
+    machine: &mut Machine<'_, impl DepthSensor, Base, D>,
+    now: Instant,
+) {
+    if let Some(frame) = board.zones.as_mut().and_then(|sensor| sensor.frame(now)) {
+        machine.receive(Port::Sensor, &frame, now);
+    }
+}
+
+/// The sensor is at a port.
+#[cfg(not(feature = "vl53"))]
+fn look<D: Drive>(_: &Board, _: &Machine<'_, impl DepthSensor, Base, D>, _: Instant) {}
 
 /// Maximum length of a command to a device, in bytes.
 const MAX_COMMAND: usize = 32;
