@@ -174,7 +174,15 @@ impl<'b> Search<'b> {
                 self.target = self.target();
                 let Workspace { window, planner } = &mut *self.workspace;
                 let start = window.place(Waypoint { x: view.pose.x, y: view.pose.y });
-                match planner.begin(window, start.unwrap_or_default(), self.target) {
+                let start = start.unwrap_or_default();
+                let mut begun = planner.begin(window, start, self.target);
+                if begun == Err(PlanError::NoFrontier)
+                    && self.attempt.level > 0
+                    && let Some(other) = window.nearest_cut_off(start)
+                {
+                    begun = planner.begin(window, other, self.target);
+                }
+                match begun {
                     Ok(()) => Progress::Searching,
                     Err(error) => Progress::Failed(error),
                 }
