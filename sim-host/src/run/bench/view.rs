@@ -2,8 +2,9 @@
 
 use ubimap_protocol::{message::DistanceVector, units::Angle};
 
-/// Half of the points that are farthest ahead must be this near to one line for a flat view, in metres.
-const FLAT: f64 = 0.03;
+/// How far points of a flat view may lie before and beyond the place up to which nine in ten lie: their noise, in
+/// metres.
+const FLAT: [f64; 2] = [0.09, 0.05];
 /// Minimum number of points on that line, and share of all points.
 const FLAT_POINTS: usize = 6;
 const FLAT_SHARE: f64 = 0.4;
@@ -56,7 +57,7 @@ impl View {
         let farthest = ahead.len().checked_sub(1)?;
         // The farthest ones but one in ten, which may be outliers.
         let limit = ahead[farthest - farthest / 10];
-        let on = |x: f64| (x - limit).abs() <= FLAT;
+        let on = |x: f64| (limit - FLAT[0]..=limit + FLAT[1]).contains(&x);
         let line: Vec<f64> = ahead.iter().copied().filter(|&x| on(x)).collect();
         let is_flat =
             line.len() >= FLAT_POINTS && line.len() as f64 >= FLAT_SHARE * self.seen.len() as f64;
