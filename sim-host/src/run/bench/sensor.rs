@@ -28,11 +28,6 @@ const NO_VIEW: Duration = Duration::from_secs(6);
 const LONG_BLIND: Duration = Duration::from_secs(12);
 
 /// Options of `ubimap sensor`.
-///
-/// The robot sends up to one view per second: the free distance in each of up to 64 columns, from the middle
-/// between its wheels. The rows of a depth image do not travel, so a tilted sensor shows by its consequence: one
-/// that looks down sees the floor as a straight line across that stays when the robot turns. One that looks up
-/// sees over low things, which no figure here tells.
 #[derive(Args, Clone, Debug)]
 pub struct SensorOptions {
     /// The robot's port.
