@@ -21,6 +21,14 @@ pub struct GraphSummary {
     pub consistent: u64,
 }
 
+impl GraphSummary {
+    /// Whether the map may be drawn from the graph: at most one vector in ten was placed by odometry
+    /// alone. Otherwise most submaps hang together by odometry, and the robots' own maps show more.
+    pub fn is_sound(&self) -> bool {
+        10 * self.unmatched <= self.vectors
+    }
+}
+
 impl From<GraphCounts> for GraphSummary {
     fn from(counts: GraphCounts) -> Self {
         Self {

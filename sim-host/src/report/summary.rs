@@ -161,8 +161,8 @@ pub struct CalibrationErrors {
 pub struct MapSummary {
     /// Side length of a cell in metres.
     pub resolution_m: f64,
-    /// Cells that are free or occupied. With a graph, these are the cells of the map that was drawn from
-    /// it, and the digest is that of the robots' map.
+    /// Cells that are free or occupied. If the map was drawn from a graph, these are its cells; the
+    /// digest is always that of the map that robots get.
     pub known: u64,
     /// Cells that are free.
     pub free: u64,

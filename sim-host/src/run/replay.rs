@@ -28,7 +28,7 @@ use crate::{
     deployment::{self, Deployment},
     grid::OccupancyGrid,
     recording::{self, Log, LoggedScan},
-    report::{self, Caption, ExposureSummary},
+    report::{self, Caption, ExposureSummary, GraphSummary},
 };
 
 /// Time between the robots' boot and the first scan, in which they connect to the server.
@@ -109,7 +109,17 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
         let starts = stage.starts(&log, &fleet);
         let solved = received.solve(&starts, options.max_range, options.resolution)?;
         tables.push(("trajectory.csv", solved.trajectory));
-        (map, markers, graph) = (solved.map, solved.markers, Some(solved.summary));
+        graph = Some(solved.summary);
+        if solved.summary.is_sound() {
+            (map, markers) = (solved.map, solved.markers);
+        } else {
+            let GraphSummary { unmatched, vectors, .. } = solved.summary;
+            log::warn!(
+                "{unmatched} of {vectors} distance vectors match nothing, so the map is the robots' own, by \
+                 odometry; see graph.png for the map of the graph"
+            );
+            pictures.push(("graph.png", report::render(&solved.map, &solved.markers, &caption)));
+        }
     }
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, bounds.own_tiles);
     report.graph = graph;

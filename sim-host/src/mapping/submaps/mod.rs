@@ -43,3 +43,6 @@ pub use {
     submap::Submap,
     view::View,
 };
+
+#[cfg(test)]
+mod tests;

@@ -57,7 +57,7 @@ pub struct PoseGraph {
 
 impl Edge {
     /// By how much the poses differ from the measurement: x, y and turn, in the frame of `from`.
-    fn residual(&self, poses: &[Motion]) -> Vector3<f64> {
+    pub(super) fn residual(&self, poses: &[Motion]) -> Vector3<f64> {
         difference(&self.motion, &poses[self.from].inv_mul(&poses[self.to]))
     }
 

@@ -62,7 +62,7 @@ impl Measured {
     pub(super) fn inverse(&self) -> Self {
         let motion = self.motion.inverse();
         let arm = motion.translation.vector;
-        let by_own = Matrix3::new(1.0, 0.0, arm.y, 0.0, 1.0, -arm.x, 0.0, 0.0, 1.0)
+        let by_own = Matrix3::new(1.0, 0.0, -arm.y, 0.0, 1.0, arm.x, 0.0, 0.0, 1.0)
             * turned(motion.rotation.angle());
         Self { motion, covariance: by_own * self.covariance * by_own.transpose() }
     }
