@@ -16,6 +16,13 @@ use ubimap_sim_host::{
     report::{Brief, OutputFile, OutputFolder, brief, json_pretty},
     run::{
         Outcome, RunError, backup,
+        bench::{
+            monitor::{self, MonitorOptions},
+            param::{self, ParamOptions},
+            ports::{self, PortsOptions},
+            sensor::{self, SensorOptions},
+            wheels::{self, WheelsOptions},
+        },
         calibrate::{self, options::CalibrateOptions},
         compare,
         conformance::{self, options::ConformanceOptions},
@@ -83,6 +90,16 @@ enum Command {
     Rig(RigOptions),
     /// Write a commented deployment for serve
     Init(InitOptions),
+    /// Show the serial ports of this computer, and which robots say hello there
+    Ports(PortsOptions),
+    /// Show what the robot at a port reports: state, events, counters
+    Monitor(MonitorOptions),
+    /// Read and change the parameters of the robot at a port
+    Param(ParamOptions),
+    /// Draw what the robot at a port sees
+    Sensor(SensorOptions),
+    /// Turn the wheels of the robot at a port a little, and tell what is wrong with them
+    Wheels(WheelsOptions),
     /// Draw sheets of the robots' markers to print, with the lines of the deployment that go with them
     Markers(MarkersOptions),
     /// Send a robot of the running server to a place
@@ -165,6 +182,11 @@ fn main() -> ExitCode {
         Command::Rig(options) => rig::run(&options).and_then(|it| answered(&json_pretty(&it))),
         Command::Record(options) => recording::run(&options).and_then(|it| answered(&it)),
         Command::Init(options) => init(&options),
+        Command::Ports(options) => ports(&options),
+        Command::Monitor(options) => monitor::run(&options).map(|()| ExitCode::SUCCESS),
+        Command::Param(options) => param::run(&options).and_then(|it| answered(&it)),
+        Command::Sensor(options) => sensor::run(&options).map(|()| ExitCode::SUCCESS),
+        Command::Wheels(options) => wheels(&options),
         Command::Markers(options) => marker_sheet::run(&options).and_then(|it| answered(&it)),
         Command::Go(options) => options.run().and_then(|answer| answered(&answer)),
         Command::Stop(options) => options.run("stop").and_then(|answer| answered(&answer)),
@@ -260,6 +282,18 @@ fn init(options: &InitOptions) -> Result<ExitCode, RunError> {
     let file = init::run(options)?;
     let file = file.display();
     answered(&format!("{file}: edit it, then run: ubimap serve {file} --open\n"))
+}
+
+fn ports(options: &PortsOptions) -> Result<ExitCode, RunError> {
+    let report = ports::run(options)?;
+    answered(&if options.json { json_pretty(&report) } else { report.to_string() })
+}
+
+/// Succeeds if nothing is wrong.
+fn wheels(options: &WheelsOptions) -> Result<ExitCode, RunError> {
+    let report = wheels::run(options)?;
+    print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
+    Ok(status(report.is_good()))
 }
 
 fn answered(answer: &str) -> Result<ExitCode, RunError> {

@@ -183,6 +183,15 @@ impl System {
         map["known"].as_f64().unwrap() * map["resolution_m"].as_f64().unwrap().powi(2)
     }
 
+    /// Writes the poses told beside the rig's `track.csv`, in the same form.
+    fn write_told(&self) {
+        let rows = self.told.iter().map(|&Told { zero, time, robot, pose: [x, y, heading] }| {
+            format!("{:.3},{robot},{x:.4},{y:.4},{heading:.3}\n", zero + time)
+        });
+        let table = String::from("unix_s,robot,x_m,y_m,heading_deg\n") + &rows.collect::<String>();
+        fs::write(self.folder.join("told.csv"), table).unwrap();
+    }
+
     /// Whether no robot is on its way.
     fn is_idle(&self) -> bool {
         let Some(answer) = self.ask(&["status", "--json"]) else { return false };
@@ -209,6 +218,7 @@ impl System {
         self.ask(&["stop"]).unwrap();
         // They brake, and report where they stand.
         self.follow(5);
+        self.write_told();
         let report: Value = serde_json::from_str(&server.end()).unwrap();
         robots.into_iter().for_each(|robot| drop(robot.end()));
         let truth: Value = serde_json::from_str(&self.rig.end()).unwrap();

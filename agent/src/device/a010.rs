@@ -17,7 +17,10 @@
 
 use ubimap_protocol::time::{Duration, Instant};
 
-use super::depth_sensor::{DepthSensor, Scan, SensorCounters};
+use super::{
+    cadence::{Cadence, Regularity},
+    depth_sensor::{DepthSensor, Scan, SensorCounters},
+};
 use crate::sense::{SliceError, Slicer};
 
 /// Length of the start, the length field and the header, in bytes.
@@ -130,6 +133,15 @@ impl A010Config {
         }
     }
 
+    /// When frames come: documents state no jitter, and no error of the rate, so both are guesses.
+    const fn regularity(&self) -> Regularity {
+        let interval = match 1_000_000_u64.checked_div(self.frames_per_second as u64) {
+            Some(interval) => Duration::from_micros(interval),
+            None => Duration::from_millis(0),
+        };
+        Regularity { interval, jitter: Duration::from_millis(20), error: Duration::from_millis(6) }
+    }
+
     /// The time of a byte on the line, in 256ths of a microsecond.
     const fn byte_time(&self) -> u32 {
         match (BITS_PER_BYTE as u32 * 256_000_000).checked_div(self.baud) {
@@ -154,12 +166,17 @@ pub struct A010<'b> {
     frame: Option<Frame>,
     /// The row of pixels that is arriving.
     row: [u16; MAX_SIDE],
+    /// The number of the last complete frame.
+    number: u16,
+    cadence: Cadence,
     counters: SensorCounters,
 }
 
 /// The frame that is arriving.
 #[derive(Clone, Copy, Debug)]
 struct Frame {
+    /// The frame's number, by which lost frames are counted.
+    number: u16,
     /// Number of bytes after the header.
     received: usize,
     /// The sum of all bytes before the checksum.
@@ -197,6 +214,8 @@ impl<'b> A010<'b> {
             newest: [0; HEADER],
             frame: None,
             row: [0; MAX_SIDE],
+            number: 0,
+            cadence: Cadence::NEW,
             counters: SensorCounters::default(),
         })
     }
@@ -220,7 +239,9 @@ impl<'b> A010<'b> {
             }
             let sum = self.newest.iter().fold(0, |sum: u8, &byte| sum.wrapping_add(byte));
             let began = self.before(at, HEADER);
-            self.frame = Some(Frame { received: 0, sum, began });
+            let [.., n0, n1, _, _] = self.newest;
+            let number = u16::from_le_bytes([n0, n1]);
+            self.frame = Some(Frame { number, received: 0, sum, began });
         }
         done
     }
@@ -259,7 +280,9 @@ impl<'b> A010<'b> {
             return None;
         }
         self.frame = None;
-        Some(frame.began)
+        let count = frame.number.wrapping_sub(self.number);
+        self.number = frame.number;
+        Some(self.cadence.moment(frame.began, count, &self.config.regularity()))
     }
 
     /// Drops the frame that is arriving.

@@ -18,6 +18,7 @@
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::{
+    cadence::{Cadence, Regularity},
     diff_drive::{DiffDrive, WheelBase, WheelSpeeds},
     wheels::{WheelCounters, WheelReport, Wheels},
 };
@@ -45,13 +46,13 @@ const BYTE_MICROS: u64 = 87;
 /// Modes of the base.
 const SAFE: u8 = 2;
 
-/// Maximum interval between the moments of two frames, 5 % more than the base's 15 ms: bytes that waited
-/// somewhere arrive late, never early, so that the earliest frames tell when the others were sent. After a
-/// lost frame the moments are right again within a third of a second.
-const INTERVAL: Duration = Duration::from_micros(15_750);
-
-/// A frame that is this late is the first one after a pause of the base.
-const PAUSE: Duration = Duration::from_millis(250);
+/// The base sends a frame every 15 ms. With an error of 5 %, the moments are right again within a third of a
+/// second after a lost frame.
+const FRAMES: Regularity = Regularity {
+    interval: Duration::from_millis(15),
+    jitter: Duration::from_millis(0),
+    error: Duration::from_micros(750),
+};
 
 /// Opcodes.
 const START: u8 = 128;
@@ -74,8 +75,7 @@ pub struct Create2 {
     setup: Setup,
     /// When the base last reported; before its first report, when it was first addressed.
     heard: Option<Instant>,
-    /// The latest moment that the next frame may have, unless the base has paused.
-    due: Option<Instant>,
+    cadence: Cadence,
     /// When the last step of the start was sent.
     started: Instant,
     /// The speeds last sent, and when.
@@ -110,7 +110,7 @@ impl Create2 {
             encoders: None,
             setup: Setup::Step(0, Instant(0)),
             heard: None,
-            due: None,
+            cadence: Cadence::NEW,
             started: Instant(0),
             sent: None,
             counters: WheelCounters { frames: 0, damaged: 0, restarts: 0 },
@@ -136,14 +136,6 @@ impl Create2 {
         self.counters.frames = self.counters.frames.saturating_add(1);
         let [_, _, _, contact, _, mode, _, l1, l0, _, r1, r0, _] = self.newest;
         Some(([contact, mode], [u16::from_be_bytes([l1, l0]), u16::from_be_bytes([r1, r0])]))
-    }
-
-    /// When the base sent a frame that arrived by `arrived`.
-    fn moment(&mut self, arrived: Instant) -> Instant {
-        let due = self.due.filter(|due| arrived.since(*due) < PAUSE);
-        let moment = due.map_or(arrived, |due| due.min(arrived));
-        self.due = Some(moment + INTERVAL);
-        moment
     }
 
     /// Takes the base's state from a frame.
@@ -205,7 +197,8 @@ impl Wheels for Create2 {
             *bytes = rest;
             if let Some((state, encoders)) = self.byte(byte) {
                 let later = BYTE_MICROS.saturating_mul(rest.len() as u64);
-                let moment = self.moment(Instant(now.0.saturating_sub(later)));
+                let arrived = Instant(now.0.saturating_sub(later));
+                let moment = self.cadence.moment(arrived, 1, &FRAMES);
                 return Some(self.frame(state, encoders, moment));
             }
         }

@@ -20,7 +20,7 @@ use core::f32::consts::TAU;
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::depth_sensor::{DepthSensor, Scan, SensorCounters};
-use crate::sense::SensorModel;
+use crate::sense::{NOTHING_IN_RANGE, SensorModel, Validity};
 
 /// The speed of the sensor's port in baud.
 pub const BAUD: u32 = 230_400;
@@ -58,8 +58,8 @@ const LEAST_CONFIDENCE: u8 = 15;
 
 /// A driver of the LD06: it joins the packets of a turn to a scan.
 ///
-/// Each beam takes the nearest valid point in its sector; one without a valid point has no return. A
-/// point is invalid if its distance is 0 or its confidence is below 15. A cut or
+/// Each beam takes the nearest valid point in its sector, which may be one with nothing in range: its distance
+/// is 0. A point with a confidence below 15 is invalid. A beam without a valid point reads 0. A cut or
 /// damaged packet loses only its own points, because a packet may begin at any byte. A turn is dropped if
 /// less than three quarters of it arrived.
 #[derive(Debug)]
@@ -94,7 +94,7 @@ struct Packet {
     first: u32,
     /// From the first point to the last, in 1/100 degree.
     span: u32,
-    /// Distances in mm, 0 if invalid.
+    /// Distances in mm, 0 if invalid, [`NOTHING_IN_RANGE`] without a return.
     distances: [u16; POINTS],
 }
 
@@ -117,6 +117,12 @@ impl<'b> Ld06<'b> {
     pub const fn sensor(readings: usize) -> SensorModel {
         let step = TAU / if readings == 0 { 1 } else { readings } as f32;
         SensorModel::Radial { first: step / 2.0 - TAU / 2.0, step }
+    }
+
+    /// Which readings are valid. What gives no return is farther than 4 m, or black: a guess, since documents
+    /// give the range on white surfaces only (12 m).
+    pub fn validity() -> Validity {
+        Validity { clear: 4_000, ..Validity::default() }
     }
 
     /// Processes a byte. Returns the packet that it completes.
@@ -184,11 +190,13 @@ impl Packet {
         let mut distances = [0; POINTS];
         let points = body.get(6..)?.chunks_exact(3);
         for (distance, point) in distances.iter_mut().zip(points) {
-            if let [low, high, confidence] = *point
-                && confidence >= LEAST_CONFIDENCE
-            {
-                *distance = u16::from_le_bytes([low, high]);
-            }
+            *distance = match *point {
+                [0, 0, _] => NOTHING_IN_RANGE,
+                [low, high, confidence] if confidence >= LEAST_CONFIDENCE => {
+                    u16::from_le_bytes([low, high])
+                }
+                _ => 0,
+            };
         }
         Some(Self { first: (first + TURN / 2) % TURN, span, distances })
     }

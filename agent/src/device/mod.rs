@@ -15,6 +15,7 @@
 //! ever tried on a board: they were written by the manufacturers' documents.
 
 pub mod a010;
+mod cadence;
 pub mod create2;
 mod depth_sensor;
 pub mod diff_drive;

@@ -123,6 +123,8 @@ pub struct LocalMap<'b> {
     mounting: Pose,
     policy: Policy,
     grain: Grain,
+    /// Distance up to which the ground is free where the sensor has nothing in range, in millimetres.
+    clear: u16,
     /// Holds no observation between calls.
     scratch: &'b mut [RowSighting],
     /// The tiles.
@@ -142,9 +144,19 @@ impl<'b> LocalMap<'b> {
     ) -> Self {
         scratch.fill(RowSighting::default());
         let MappingConfig { resolution, near, mounting, policy, .. } = config;
-        let grain = grain(&config, beams);
-        let next_ageing = Instant(0);
-        Self { resolution, near, mounting, policy, grain, scratch, pool, scans: 0, next_ageing }
+        let (grain, clear) = (grain(&config, beams), config.validity.clear);
+        Self {
+            resolution,
+            near,
+            mounting,
+            policy,
+            grain,
+            clear,
+            scratch,
+            pool,
+            scans: 0,
+            next_ageing: Instant(0),
+        }
     }
 
     /// Changes the sensor's mounting or validity; `beams` is the new table.
@@ -152,7 +164,7 @@ impl<'b> LocalMap<'b> {
         let MappingConfig { resolution, near, mounting, policy, .. } = config;
         (self.resolution, self.near) = (resolution, near);
         (self.mounting, self.policy) = (mounting, policy);
-        self.grain = grain(&config, beams);
+        (self.grain, self.clear) = (grain(&config, beams), config.validity.clear);
     }
 
     /// The latest time for the next call of [`LocalMap::timeout`].
@@ -194,6 +206,8 @@ impl<'b> LocalMap<'b> {
         // Whether any hit was new.
         let mut news = false;
         let count = beams.len().min(readings.len());
+        // What no echo says counts in every second scan only, from the first one on.
+        let clear = if self.scans % 2 == 1 { self.clear.min(grain.range()) } else { 0 };
         // The whole scan at once, or in parts that fit the scratch memory.
         let (mut start, mut end) = (0, count);
         while start < count {
@@ -210,7 +224,7 @@ impl<'b> LocalMap<'b> {
                 return None;
             }
             let readings = readings.get(start..end)?;
-            let part = Part { beams: part, readings, is_continued: start > 0 };
+            let part = Part { beams: part, readings, is_continued: start > 0, clear };
             let projection = projection.within(window.corner());
             let nearest = trace(&mut window, &projection, grain, part, &mut mapped.pixels);
             // The corners of the square of near cells are at most this far from the sensor.
@@ -304,7 +318,7 @@ mod tests {
     use super::*;
     use crate::{
         map::OwnTile,
-        sense::{SensorModel, fill_beams},
+        sense::{NOTHING_IN_RANGE, SensorModel, fill_beams},
     };
     use proptest::prelude::*;
     use ubimap_protocol::{tile::Cell, units::Angle};
@@ -314,7 +328,7 @@ mod tests {
         max_range: 4_000,
         near: 703,
         mounting: Pose { x: Millimetres(0), y: Millimetres(0), heading: Angle(0) },
-        validity: Validity { nearest: 1, farthest: u16::MAX, removed: (0, 0), flying: 0 },
+        validity: Validity { nearest: 1, farthest: u16::MAX, removed: (0, 0), flying: 0, clear: 0 },
         policy: Policy::Full,
     };
 
@@ -327,12 +341,28 @@ mod tests {
     /// The result of a first scan on an empty map, with `words` words of scratch memory, which
     /// determine the number of parts in which the scan is drawn.
     fn see_with(words: usize, beams: &[Beam], readings: &[u16], pose: Pose) -> Seen {
+        see_all(CONFIG, words, beams, &[readings], pose)
+    }
+
+    /// The result of several scans from one pose; the counts are those of the last.
+    fn see_all(
+        config: MappingConfig,
+        words: usize,
+        beams: &[Beam],
+        scans: &[&[u16]],
+        pose: Pose,
+    ) -> Seen {
         let mut scratch = vec![RowSighting::default(); words];
         let mut places = vec![OwnTile::FREE; 40];
-        let mut map = LocalMap::new(CONFIG, beams, &mut scratch, Pool::new(&mut places));
-        let mapped = map.add(beams, readings, (pose, u16::MAX), |_| Surround::default()).unwrap();
-        assert_eq!(mapped.cells_refused, 0);
-        let mut seen = Seen { free: BTreeSet::new(), hit: BTreeSet::new(), counts: mapped.pixels };
+        let mut map = LocalMap::new(config, beams, &mut scratch, Pool::new(&mut places));
+        let mut counts = PixelCounts::default();
+        for readings in scans {
+            let mapped = map.add(beams, readings, (pose, u16::MAX), |_| Surround::default());
+            let mapped = mapped.unwrap();
+            assert_eq!(mapped.cells_refused, 0);
+            counts = mapped.pixels;
+        }
+        let mut seen = Seen { free: BTreeSet::new(), hit: BTreeSet::new(), counts };
         for tile in map.pool.tiles() {
             let (x0, y0) = tile.id().unwrap().first_cell();
             let cells = tile.evidence.cells();
@@ -482,6 +512,64 @@ mod tests {
             let is_near = |&&(x, y): &&(i32, i32)| x * x + y * y < 60 * 60;
             assert_eq!(seen.hit.iter().find(is_near), None, "{shift}");
         }
+    }
+
+    fn see_clear(clear: u16, scans: &[&[u16]]) -> Seen {
+        let validity = Validity { clear, ..CONFIG.validity };
+        let (config, beams) = (MappingConfig { validity, ..CONFIG }, half_circle(181));
+        let words = scratch_words(4_000, CONFIG.resolution);
+        see_all(config, words, &beams, scans, Pose::default())
+    }
+
+    #[test]
+    fn nothing_in_range_is_free_up_to_where_it_says_so() {
+        let nothing = [NOTHING_IN_RANGE; 181];
+        assert_eq!(see_clear(0, &[&nothing]).counts.invalid, 181);
+        for clear in [1_000, 2_500, 4_000, u16::MAX] {
+            let seen = see_clear(clear, &[&nothing]);
+            // A map with this range, and a reading beyond it.
+            let config = MappingConfig { max_range: clear.min(4_000), ..CONFIG };
+            let words = scratch_words(4_000, CONFIG.resolution);
+            let beyond =
+                see_all(config, words, &half_circle(181), &[&[9_000; 181]], Pose::default());
+            // Other beams are left out, so that a few cells on the rim differ.
+            let differ = seen.free.symmetric_difference(&beyond.free).count();
+            assert!(differ <= 20 && seen.hit.is_empty(), "{clear}: {differ}");
+        }
+        // Beside surfaces, and readings beyond the range, neither is drawn where the other is.
+        let mixed: Vec<u16> = (0..181)
+            .map(|beam| match beam {
+                0..60 => NOTHING_IN_RANGE,
+                60..120 => 9_000,
+                _ => 3_000,
+            })
+            .collect();
+        let seen = see_clear(2_000, &[&mixed]);
+        for &(x, y) in seen.free.union(&seen.hit) {
+            let (x, y) = (f64::from(x) + 0.5, f64::from(y) + 0.5);
+            let (bearing, metres) = (y.atan2(x).to_degrees(), x.hypot(y) * 0.05);
+            let most = match bearing {
+                ..-31.0 => 2.0,
+                ..31.0 => 4.0,
+                _ => 3.1,
+            };
+            assert!(metres <= most + 0.04, "{bearing} {metres}");
+        }
+        assert!(seen.free.contains(&(70, 0)) && !seen.free.contains(&(30, -31)));
+    }
+
+    #[test]
+    fn nothing_in_range_counts_half_as_much_as_a_reading() {
+        let (wall, nothing) = ([2_000; 181], [NOTHING_IN_RANGE; 181]);
+        let after = |others: usize, other: &[u16]| {
+            let scans = [vec![&wall[..]], vec![other; others]].concat();
+            let seen = see_clear(4_000, &scans);
+            seen.hit.contains(&(40, 0)) || seen.hit.contains(&(39, 0))
+        };
+        // After how many scans a wall that was hit once is gone.
+        let gone = |other: &[u16]| (1..20).find(|&count| !after(count, other)).unwrap();
+        let beyond = gone(&[3_000; 181]);
+        assert!((2 * beyond - 1..=2 * beyond).contains(&gone(&nothing)), "{beyond}");
     }
 
     #[test]

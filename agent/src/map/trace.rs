@@ -20,7 +20,7 @@ use super::{
     projection::{Corner, Point, Projection},
     scan_window::ScanWindow,
 };
-use crate::sense::{Beam, DIRECTION_BITS, Validity};
+use crate::sense::{Beam, DIRECTION_BITS, NOTHING_IN_RANGE, Validity};
 
 /// Maximum difference between two adjacent readings that belong to one surface, in millimetres.
 const JUMP: u32 = 150;
@@ -241,7 +241,7 @@ impl Grain {
     }
 
     /// The last beam before `end` up to which every beam is out of range, starting from `from`,
-    /// which is; or the beam after it, if the surface enters the range within a cell there. Checks
+    /// which is, or has nothing in range if `is_nothing`; or the beam after it, if the surface enters the range within a cell there. Checks
     /// every `stride`th beam, then each beam after the last match.
     #[inline(never)]
     fn nothing_up_to(
@@ -249,6 +249,7 @@ impl Grain {
         (beams, readings): (&[Beam], &[u16]),
         (from, end, stride): (usize, usize, usize),
         farthest: u32,
+        is_nothing: bool,
     ) -> usize {
         let mut last = from;
         let mut stride = stride;
@@ -257,16 +258,19 @@ impl Grain {
             let Some((&beam, &reading)) = beams.get(index).zip(readings.get(index)) else {
                 return last;
             };
+            let nothing_here = reading == NOTHING_IN_RANGE;
             let reading = u32::from(reading);
-            if index < end
-                && reading.wrapping_sub(self.counting.0) <= self.counting.1
-                && (reading >= self.reach.beyond || !self.reach.has(beam, reading))
-            {
+            let is_beyond = || {
+                reading.wrapping_sub(self.counting.0) <= self.counting.1
+                    && (reading >= self.reach.beyond || !self.reach.has(beam, reading))
+            };
+            if index < end && nothing_here == is_nothing && (is_nothing || is_beyond()) {
                 last = index;
             } else if stride > 1 {
                 stride = 1;
             } else {
                 let comes_in = index < end
+                    && !nothing_here
                     && reading + self.tolerance > farthest
                     && self.counts(readings, index, reading as u16);
                 return if comes_in { index } else { last };
@@ -282,6 +286,8 @@ pub(super) struct Part<'s> {
     pub(super) readings: &'s [u16],
     /// Whether the first beam was the last one of the previous part.
     pub(super) is_continued: bool,
+    /// Distance up to which beams with nothing in range are free, in millimetres; 0 if they are left out.
+    pub(super) clear: u16,
 }
 
 /// Draws a part of a scan, and adds the counts of its readings to `pixels`. Returns the reading of
@@ -294,7 +300,7 @@ pub(super) fn trace(
     part: Part<'_>,
     pixels: &mut PixelCounts,
 ) -> u32 {
-    let Part { beams, readings, is_continued } = part;
+    let Part { beams, readings, is_continued, clear } = part;
     let sensor = projection.sensor();
     let (mut kept, mut invalid, mut nearest) = (0_u32, 0_u32, u32::MAX);
     let mut is_first_invalid = false;
@@ -305,7 +311,9 @@ pub(super) fn trace(
     let near = grain.near();
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
-        if !grain.counts(readings, index, reading) || beam == Beam::NONE {
+        let is_nothing = reading == NOTHING_IN_RANGE;
+        let counts = if is_nothing { clear > 0 } else { grain.counts(readings, index, reading) };
+        if !counts || beam == Beam::NONE {
             let gap = gap(readings, index);
             invalid += gap as u32;
             is_first_invalid |= index == 0;
@@ -314,9 +322,12 @@ pub(super) fn trace(
             continue;
         }
         let reading = u32::from(reading);
-        let is_hit = grain.reach.has(beam, reading);
-        let reach =
-            if is_hit { reading - grain.margin } else { beam.reading_at(grain.reach.range) };
+        let is_hit = !is_nothing && grain.reach.has(beam, reading);
+        let reach = if is_hit {
+            reading - grain.margin
+        } else {
+            beam.reading_at(if is_nothing { clear } else { grain.reach.range })
+        };
         kept += 1;
         let direction = projection.direction(beam);
         let at = projection.corner(direction, reach);
@@ -388,7 +399,8 @@ pub(super) fn trace(
             }
         } else {
             let way = (here, here + ahead, stride);
-            index = index.max(grain.nothing_up_to((beams, readings), way, reach));
+            let end = grain.nothing_up_to((beams, readings), way, reach, is_nothing);
+            index = index.max(end);
         }
     }
     window.edge(last.at, sensor);

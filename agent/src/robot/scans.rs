@@ -42,7 +42,8 @@ impl Mapper<'_> {
         readings: &[u16],
         now: Instant,
     ) -> Result<(), ScanError> {
-        let speaks = link.is_connected() && self.outbox.vectors.is_due(taken, false, false);
+        let is_blind = self.locator.is_blind(taken);
+        let speaks = link.is_connected() && self.outbox.vectors.is_due(taken, is_blind);
         let pose = self.latest_pose.map(|(_, pose)| pose);
         // Odometry read before the scan gives the scan's pose only if the robot stands.
         let odometry = self.locator.standing_odometry();
@@ -158,11 +159,11 @@ impl Mapper<'_> {
         } else {
             Selected::Nothing
         };
-        let moves = !is_sure || matches!(selected, Selected::Moved(_));
-        let vector_time = scan.server_moment.filter(|_| {
-            let vectors = &self.outbox.vectors;
-            link.is_connected() && vectors.is_due(scan.taken, moves, scan.is_blind)
-        });
+        if !is_sure || matches!(selected, Selected::Moved(_)) {
+            self.outbox.vectors.move_on();
+        }
+        let is_due = self.outbox.vectors.is_due(scan.taken, scan.is_blind);
+        let vector_time = scan.server_moment.filter(|_| link.is_connected() && is_due);
         // The next scan is compared with these readings, before they are cleaned.
         let odometry = self.locator.newest_odometry();
         self.selection.mapped(scan.pose, odometry, readings, &selected);

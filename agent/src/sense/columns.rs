@@ -9,7 +9,10 @@ use ubimap_protocol::{
     units::{Angle, Pose},
 };
 
-use super::beams::{Beam, DIRECTION_BITS};
+use super::{
+    beams::{Beam, DIRECTION_BITS},
+    validity::NOTHING_IN_RANGE,
+};
 
 /// The unit of distances, in millimetres.
 const UNIT: f32 = DistanceVector::UNIT.0 as f32;
@@ -58,7 +61,8 @@ impl Columns {
         let right = edge.0.wrapping_sub((beam / 2) as u16);
         let mut any = false;
         for (beam, &reading) in beams.iter().zip(readings) {
-            if reading == 0 || *beam == Beam::NONE {
+            // How far it is free depends on the sensor, which the server does not know.
+            if matches!(reading, 0 | NOTHING_IN_RANGE) || *beam == Beam::NONE {
                 continue;
             }
             let length = f32::from(reading) / (1 << DIRECTION_BITS) as f32;

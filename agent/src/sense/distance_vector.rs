@@ -4,6 +4,9 @@ use nalgebra::Point2;
 
 use super::{floor::COLUMNS, scale_curve::ScaleCurve};
 
+/// A reading beyond any range.
+const BEYOND: u16 = u16::MAX - 2;
+
 /// Converts a distance vector to a scan: the distance to the boundary in each column (equation 2),
 /// in the unit of the curve, which should be millimetres; 0 (no reading) outside the curve's range.
 ///
@@ -18,13 +21,13 @@ pub fn floor_readings(distances: &[u8; COLUMNS], curve: &ScaleCurve) -> [u16; CO
 }
 
 /// The same, but a column whose floor goes on beyond the far end of the curve has a reading beyond any
-/// range: there is no boundary, and the floor is free. The map's range must not exceed
-/// [`ScaleCurve::far`].
+/// range: there is no boundary, and the floor was seen to be free, which counts as much as any reading. The
+/// map's range must not exceed [`ScaleCurve::far`].
 pub fn open_floor_readings(distances: &[u8; COLUMNS], curve: &ScaleCurve) -> [u16; COLUMNS] {
     let mut readings = floor_readings(distances, curve);
     for (reading, &pixels) in readings.iter_mut().zip(distances) {
         if pixels > curve.far().0 {
-            *reading = u16::MAX - 1;
+            *reading = BEYOND;
         }
     }
     readings
@@ -74,11 +77,8 @@ mod tests {
             assert_eq!(reading != 0, (62..=121).contains(&pixels), "{pixels}: {reading}");
         }
         for (pixels, reading) in open_floor_readings(&distances, &curve).into_iter().enumerate() {
-            let expected = if pixels > 121 {
-                u16::MAX - 1
-            } else {
-                floor_readings(&distances, &curve)[pixels]
-            };
+            let expected =
+                if pixels > 121 { BEYOND } else { floor_readings(&distances, &curve)[pixels] };
             assert_eq!(reading, expected, "{pixels}");
         }
         let reading = floor_readings(&[93; COLUMNS], &curve)[0];

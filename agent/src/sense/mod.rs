@@ -28,5 +28,5 @@ pub use floor::{COLUMNS, Floor, FloorConfig, ImageSizeError, LINES, floor_distan
 pub use scale_curve::{ScaleCurve, ScaleError, TABLE_1};
 pub use slice::{Pick, Slice, SliceError, Slicer};
 pub use steadiness::{Steadiness, SteadyLimits};
-pub use validity::Validity;
+pub use validity::{NOTHING_IN_RANGE, Validity};
 pub use waiting::{ScanError, WaitingScans};

@@ -4,6 +4,10 @@ use core::mem;
 
 use super::beams::SensorModel;
 
+/// A reading that says that nothing is within the sensor's range: +Inf in ROS REP-117. A sensor that can't say so
+/// reads 0, which says nothing.
+pub const NOTHING_IN_RANGE: u16 = u16::MAX - 1;
+
 /// Which readings of a row are valid, in the sensor's own measure: depth for a camera, distance for
 /// a lidar. Invalid readings are treated as no return.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,12 +26,17 @@ pub struct Validity {
     /// disables the check: for lidars, and for sensors with few pixels, where slanted walls have
     /// steps of the same size.
     pub flying: u16,
+    /// Distance up to which [`NOTHING_IN_RANGE`] says that the ground is free, in millimetres: less than the
+    /// range within which every surface gives a reading. It counts half as much as a reading behind that
+    /// ground. 0 for a sensor whose silence says nothing.
+    pub clear: u16,
 }
 
 impl Default for Validity {
-    /// All readings except 0 (no return) and 65,535 (saturated) are valid.
+    /// All readings except 0 (no return) and 65,535 (saturated) are valid. Nothing in range is free as far as
+    /// the map's range.
     fn default() -> Self {
-        Self { nearest: 1, farthest: u16::MAX - 1, removed: (0, 0), flying: 0 }
+        Self { nearest: 1, farthest: u16::MAX - 1, removed: (0, 0), flying: 0, clear: u16::MAX }
     }
 }
 
@@ -68,6 +77,10 @@ impl Validity {
                 (before, rest) = (0, later.get_mut(gap..).unwrap_or_default());
                 continue;
             }
+            if here == NOTHING_IN_RANGE {
+                (before, rest) = (0, later);
+                continue;
+            }
             if here < interval.0 || here > interval.1 {
                 let Some(counted) = self.counted(here) else {
                     *reading = 0;
@@ -86,18 +99,19 @@ impl Validity {
         }
     }
 
-    /// Whether a reading is in range and not removed.
+    /// Whether a reading is a distance in range that is not removed.
     #[inline]
     pub fn counts(&self, reading: u16) -> bool {
         let Self { nearest, farthest, removed: (from, to), .. } = *self;
-        let is_in_range = reading >= nearest && reading <= farthest && reading != 0;
+        let is_measure = !matches!(reading, 0 | NOTHING_IN_RANGE);
+        let is_in_range = reading >= nearest && reading <= farthest && is_measure;
         is_in_range && (reading < from || reading > to)
     }
 
     /// The widest interval of valid readings that contains `reading`; `None` if it is invalid.
     fn counted(&self, reading: u16) -> Option<(u16, u16)> {
         let Self { nearest, farthest, removed: (from, to), .. } = *self;
-        let nearest = nearest.max(1);
+        let (nearest, farthest) = (nearest.max(1), farthest.min(NOTHING_IN_RANGE - 1));
         self.counts(reading).then_some(if to < from {
             (nearest, farthest)
         } else if reading < from {
@@ -207,15 +221,19 @@ mod tests {
 
     /// Reference implementation: the definition, reading by reading.
     fn plain(validity: Validity, readings: &[u16]) -> Vec<u16> {
-        let Validity { nearest, farthest, removed: (from, to), flying } = validity;
+        let Validity { nearest, farthest, removed: (from, to), flying, .. } = validity;
         let valid = |reading: u16| {
             let is_removed = (from..=to).contains(&reading);
-            reading != 0 && reading >= nearest && reading <= farthest && !is_removed
+            let is_measure = reading != 0 && reading != NOTHING_IN_RANGE;
+            is_measure && reading >= nearest && reading <= farthest && !is_removed
         };
         let of = |index: Option<usize>| {
             index.and_then(|index| readings.get(index)).copied().filter(|&it| valid(it))
         };
         let keep = |index: usize| {
+            if readings[index] == NOTHING_IN_RANGE {
+                return Some(NOTHING_IN_RANGE);
+            }
             let reading = of(Some(index))?;
             let between = of(index.checked_sub(1)).zip(of(Some(index + 1))).filter(|&(a, b)| {
                 let far = |other: u16| reading.abs_diff(other) > flying;
@@ -257,7 +275,8 @@ mod tests {
 
     #[test]
     fn readings_out_of_range_or_removed_are_cleared() {
-        let validity = Validity { nearest: 200, farthest: 5_000, removed: (900, 1_000), flying: 0 };
+        let removed = (900, 1_000);
+        let validity = Validity { nearest: 200, farthest: 5_000, removed, ..Validity::default() };
         let row = [0, 1, 199, 200, 899, 900, 950, 1_000, 1_001, 5_000, 5_001, u16::MAX];
         let expected = [0, 0, 0, 200, 899, 0, 0, 0, 1_001, 5_000, 0, 0];
         assert_eq!(clean(validity, &row), expected);
@@ -281,13 +300,15 @@ mod tests {
             removed in prop_oneof![Just((0, 0)), any::<(u16, u16)>(), (900u16..1_200, 1_000u16..3_000)],
             flying in prop_oneof![Just(0u16), 1u16..300, any::<u16>()],
         ) {
-            let validity = Validity { nearest, farthest, removed, flying };
+            let validity = Validity { nearest, farthest, removed, flying, clear: 0 };
             let mut reading = i32::from(start);
             let mut row = Vec::new();
             for (step, times) in steps {
                 for _ in 0..times {
                     reading = (reading + step).clamp(0, i32::from(u16::MAX));
-                    row.push(reading as u16);
+                    // Not a measure, and often seen.
+                    let nothing = reading > 60_000;
+                    row.push(if nothing { NOTHING_IN_RANGE } else { reading as u16 });
                 }
             }
             prop_assert_eq!(clean(validity, &row), plain(validity, &row), "{:?}", row);

@@ -17,6 +17,9 @@ pub(crate) struct DistanceVectors {
     interval: Duration,
     /// When the scan of the last vector was taken (robot's clock).
     last: Option<Instant>,
+    /// Whether the robot has moved since the last vector. Where it comes to rest is as uncertain as its way,
+    /// and it may stay there for long.
+    moved: bool,
     /// Number of initial vectors still to be sent.
     first: u8,
     waiting: Option<DistanceVector>,
@@ -25,18 +28,23 @@ pub(crate) struct DistanceVectors {
 impl DistanceVectors {
     /// `interval` is the usual minimum time between two vectors of a moving robot.
     pub(crate) fn new(interval: Duration) -> Self {
-        Self { interval, last: None, first: FIRST, waiting: None }
+        Self { interval, last: None, moved: false, first: FIRST, waiting: None }
     }
 
     /// Starts a session: the server has no vectors of this robot yet.
     pub(crate) fn begin_session(&mut self) {
-        (self.last, self.first, self.waiting) = (None, FIRST, None);
+        (self.last, self.moved, self.first, self.waiting) = (None, false, FIRST, None);
     }
 
-    /// Whether a vector of a scan taken at `taken` (robot's clock) is due. `moves` says that the
-    /// robot has moved, `blind` that no camera sees it.
-    pub(crate) fn is_due(&self, taken: Instant, moves: bool, blind: bool) -> bool {
-        let wait = match (moves, blind) {
+    /// Notes that the robot has moved.
+    pub(crate) fn move_on(&mut self) {
+        self.moved = true;
+    }
+
+    /// Whether a vector of a scan taken at `taken` (robot's clock) is due. `blind` says that no camera sees
+    /// the robot.
+    pub(crate) fn is_due(&self, taken: Instant, blind: bool) -> bool {
+        let wait = match (self.moved, blind) {
             (false, _) => self.interval.max(STANDING_VECTOR_INTERVAL),
             (true, _) if blind || self.first > 0 => self.interval.min(BLIND_VECTOR_INTERVAL),
             (true, _) => self.interval,
@@ -48,6 +56,7 @@ impl DistanceVectors {
     /// been sent yet.
     pub(crate) fn take(&mut self, taken: Instant, vector: Option<DistanceVector>) {
         self.last = Some(taken);
+        self.moved = false;
         self.first = self.first.saturating_sub(1);
         self.waiting = vector;
     }
@@ -61,7 +70,7 @@ impl DistanceVectors {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::vec;
+    use std::{vec, vec::Vec};
     use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
     #[test]
@@ -94,18 +103,45 @@ mod tests {
     fn vectors_are_sent_more_often_while_moving_and_most_often_without_fixes() {
         let mut vectors = DistanceVectors::new(Duration::from_secs(5));
         let after = |seconds| Instant(9) + Duration::from_secs(seconds);
-        assert!(vectors.is_due(after(0), false, false));
+        assert!(vectors.is_due(after(0), false));
         for _ in 0..FIRST {
             vectors.take(after(0), None);
-            assert_eq!(vectors.is_due(after(1), true, false), vectors.first > 0);
+            vectors.move_on();
+            assert_eq!(vectors.is_due(after(1), false), vectors.first > 0);
         }
         for (seconds, moves, blind) in
             [(5, true, false), (60, false, false), (1, true, true), (60, false, true)]
         {
-            let due = |seconds| vectors.is_due(after(seconds), moves, blind);
+            vectors.take(after(0), None);
+            if moves {
+                vectors.move_on();
+            }
+            let due = |seconds| vectors.is_due(after(seconds), blind);
             assert!(!due(seconds - 1) && due(seconds), "{seconds} {moves} {blind}");
         }
         vectors.begin_session();
-        assert!(vectors.is_due(after(1), false, false));
+        assert!(vectors.is_due(after(1), false));
+    }
+
+    #[test]
+    fn where_a_robot_comes_to_rest_is_told_once() {
+        let mut vectors = DistanceVectors::new(Duration::from_secs(5));
+        let sent = |second: &u64| {
+            let taken = Instant(second * 1_000_000);
+            if (3..8).contains(second) {
+                vectors.move_on();
+            }
+            let is_due = vectors.is_due(taken, true);
+            if is_due {
+                vectors.take(taken, None);
+            }
+            // It moves on a little after the last vector.
+            if *second == 7 {
+                vectors.move_on();
+            }
+            is_due
+        };
+        let sent: Vec<u64> = (0..60).filter(sent).collect();
+        assert_eq!(sent, [0, 3, 4, 5, 6, 7, 8]);
     }
 }

@@ -17,10 +17,71 @@ const WRITE_CHUNK: usize = 64;
 
 /// The error's text, with advice if the cause is known.
 fn told(reason: &serialport::Error) -> String {
-    match reason.to_string().as_str() {
+    use serialport::ErrorKind::{Io, NoDevice};
+    let text = reason.to_string();
+    match reason.kind() {
+        Io(ErrorKind::NotFound) => format!("{text}; ubimap ports lists what is connected"),
+        Io(ErrorKind::PermissionDenied) => format!(
+            "{text}; join the group that owns the port (on most Linux systems: sudo usermod -aG dialout $USER), and log in again"
+        ),
+        _ if text.contains("exclusive lock") || text.contains("busy") => {
+            "busy: another program has it open (fuser -v names it)".into()
+        }
         // ENOTTY.
-        "Not a typewriter" => "not a serial port; give a device such as /dev/ttyUSB0".into(),
-        reason => reason.into(),
+        _ if text == "Not a typewriter" => {
+            "not a serial port; give a device such as /dev/ttyUSB0".into()
+        }
+        NoDevice => format!("{text}; unplug it and plug it in again"),
+        // EIO.
+        _ if text == "I/O error" => "no hardware answers behind this name".into(),
+        _ => text,
+    }
+}
+
+/// A serial port of this computer, whatever is connected to it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ListedPort {
+    /// Its path.
+    pub path: String,
+    /// What the operating system knows of it: a USB device's names and serial number, or the kind of port.
+    pub what: String,
+}
+
+/// The serial ports of this computer, in the order of their paths. Pseudo-terminals are not listed.
+///
+/// # Errors
+/// The operating system's reason.
+pub fn list() -> Result<Vec<ListedPort>, String> {
+    // The library panics without this folder, as in some containers.
+    if cfg!(target_os = "linux") && !Path::new("/sys/class/tty").is_dir() {
+        return Ok(Vec::new());
+    }
+    let ports = serialport::available_ports().map_err(|error| error.to_string())?;
+    let mut listed: Vec<ListedPort> = ports
+        .into_iter()
+        .map(|port| ListedPort { path: port.port_name, what: described(port.port_type) })
+        .collect();
+    listed.sort_by(|a, b| a.path.cmp(&b.path));
+    Ok(listed)
+}
+
+fn described(kind: serialport::SerialPortType) -> String {
+    use serialport::SerialPortType::{BluetoothPort, PciPort, Unknown, UsbPort};
+    match kind {
+        UsbPort(usb) => {
+            let names: Vec<String> =
+                [usb.manufacturer, usb.product].into_iter().flatten().collect();
+            let name = if names.is_empty() {
+                format!("{:04x}:{:04x}", usb.vid, usb.pid)
+            } else {
+                names.join(" ")
+            };
+            let number = usb.serial_number.map_or(String::new(), |it| format!(", number {it}"));
+            format!("USB, {name}{number}")
+        }
+        PciPort => "built in".into(),
+        BluetoothPort => "Bluetooth".into(),
+        Unknown => "serial port".into(),
     }
 }
 

@@ -6,7 +6,7 @@
 use std::{
     io::{self, ErrorKind},
     net::{self, SocketAddr},
-    sync::Arc,
+    sync::{Arc, OnceLock},
     time::Duration,
 };
 
@@ -33,6 +33,13 @@ pub struct UdpSocket {
 pub struct UdpPeer {
     socket: UdpSocket,
     peer: SocketAddr,
+}
+
+/// A link to the robot that knocks first.
+#[derive(Clone, Debug)]
+struct FirstPeer {
+    socket: UdpSocket,
+    peer: Arc<OnceLock<SocketAddr>>,
 }
 
 /// A robot's end of a link to a server. It hears only the server.
@@ -97,6 +104,12 @@ impl UdpSocket {
         UdpPeer { socket: self.clone(), peer }
     }
 
+    /// Both ends of the link to the first robot that knocks here; others are not heard.
+    pub fn into_wire(self) -> Wire {
+        let first = FirstPeer { socket: self, peer: Arc::default() };
+        Wire { reader: Box::new(first.clone()), writer: Box::new(first) }
+    }
+
     fn sent(&self, sent: io::Result<usize>) -> Result<(), WireError> {
         match sent {
             Ok(_) => Ok(()),
@@ -112,6 +125,24 @@ impl UdpSocket {
 impl WireWriter for UdpPeer {
     fn write(&mut self, bytes: &[u8]) -> Result<(), WireError> {
         self.socket.sent(self.socket.socket.send_to(bytes, self.peer))
+    }
+}
+
+impl WireReader for FirstPeer {
+    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, WireError> {
+        let Some((from, bytes)) = self.socket.receive_within(wait)? else { return Ok(0) };
+        if *self.peer.get_or_init(|| from) != from {
+            return Ok(0);
+        }
+        let count = bytes.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&bytes[..count]);
+        Ok(count)
+    }
+}
+
+impl WireWriter for FirstPeer {
+    fn write(&mut self, bytes: &[u8]) -> Result<(), WireError> {
+        self.peer.get().map_or(Ok(()), |peer| self.socket.peer(*peer).write(bytes))
     }
 }
 

@@ -19,6 +19,32 @@ const COUNT_M: f64 = std::f64::consts::PI * 0.072 / 508.8;
 /// Maximum speed of a wheel, in mm/s.
 const MAX_SPEED: i16 = 500;
 
+/// How the wheels are wired, and how their encoders count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wiring {
+    /// The left and the right motor: -1 if it turns backwards.
+    pub motors: [f64; 2],
+    /// The counts of the left and the right encoder for each count of a good one, negative if it counts
+    /// backwards.
+    pub encoders: [f64; 2],
+    /// Whether each motor gets the other one's commands.
+    pub swapped_motors: bool,
+    /// Whether each encoder is reported as the other one.
+    pub swapped_encoders: bool,
+}
+
+impl Default for Wiring {
+    /// All is as it should be.
+    fn default() -> Self {
+        Self {
+            motors: [1.0; 2],
+            encoders: [1.0; 2],
+            swapped_motors: false,
+            swapped_encoders: false,
+        }
+    }
+}
+
 /// The mode of the Open Interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
@@ -40,6 +66,7 @@ pub struct SimCreate2 {
     next: Instant,
     /// The speeds of the left and the right wheel, in mm/s.
     speeds: [i16; 2],
+    wiring: Wiring,
 }
 
 impl Default for SimCreate2 {
@@ -58,7 +85,13 @@ impl SimCreate2 {
             stream: Vec::new(),
             next: Instant(0),
             speeds: [0; 2],
+            wiring: Wiring::default(),
         }
+    }
+
+    /// The same base, wired like this.
+    pub fn wired(self, wiring: Wiring) -> Self {
+        Self { wiring, ..self }
     }
 
     /// Processes bytes from the robot.
@@ -102,9 +135,13 @@ impl SimCreate2 {
         matches!(self.mode, Mode::Safe | Mode::Full)
     }
 
-    /// The speed in m/s and the turn rate in rad/s that its wheels are told to have.
+    /// The speed in m/s and the turn rate in rad/s that its wheels have by their commands.
     pub fn commanded(&self) -> [f64; 2] {
-        let [left, right] = self.speeds.map(|speed| f64::from(speed) / 1_000.0);
+        let mut speeds = self.speeds.map(|speed| f64::from(speed) / 1_000.0);
+        if self.wiring.swapped_motors {
+            speeds.reverse();
+        }
+        let [left, right] = [0, 1].map(|wheel| speeds[wheel] * self.wiring.motors[wheel]);
         [(left + right) / 2.0, (right - left) / TRACK_M]
     }
 
@@ -121,8 +158,14 @@ impl SimCreate2 {
         }
         self.next = (self.next + INTERVAL).max(now);
         let aside = angle_rad * TRACK_M / 2.0;
-        let counts = [way_m - aside, way_m + aside]
-            .map(|way| ((way / COUNT_M).floor() as i64 as u16).to_be_bytes());
+        let ways = [way_m - aside, way_m + aside];
+        let mut counts = [0, 1].map(|wheel| {
+            let counts = ways[wheel] * self.wiring.encoders[wheel] / COUNT_M;
+            (counts.floor() as i64 as u16).to_be_bytes()
+        });
+        if self.wiring.swapped_encoders {
+            counts.reverse();
+        }
         let mut packets = Vec::new();
         for &number in &self.stream {
             packets.push(number);
@@ -169,6 +212,30 @@ mod tests {
         // 1 m are 2,249 counts.
         assert_eq!(frame[..12], [19, 10, 7, 0, 35, 2, 43, 8, 201, 44, 8, 201]);
         assert_eq!(frame.iter().fold(0, |sum: u8, &byte| sum.wrapping_add(byte)), 0);
+    }
+
+    #[test]
+    fn wrong_wires_turn_the_wheels_and_counts_that_they_name() {
+        let good = Wiring::default();
+        // The left wheel is told 100 mm/s, the right one 200; both roll 1 m, the right one 0.235 m more.
+        for (wiring, speeds, counts) in [
+            (good, [100, 200], [1_984, 2_513]),
+            (Wiring { motors: [-1.0, 1.0], ..good }, [-100, 200], [1_984, 2_513]),
+            (Wiring { swapped_motors: true, ..good }, [200, 100], [1_984, 2_513]),
+            (Wiring { encoders: [1.0, -1.03], ..good }, [100, 200], [1_984, -2_589]),
+            (Wiring { swapped_encoders: true, ..good }, [100, 200], [2_513, 1_984]),
+        ] {
+            let mut base = SimCreate2::new().wired(wiring);
+            base.receive(&[128, 131, 145, 0, 200, 0, 100, 148, 2, 43, 44], Instant(0));
+            let [left, right] = speeds.map(|speed| f64::from(speed) / 1_000.0);
+            let [speed, turn] = base.commanded();
+            assert!((speed - (left + right) / 2.0).abs() < 1e-9, "{wiring:?}");
+            assert!((turn - (right - left) / TRACK_M).abs() < 1e-9, "{wiring:?}");
+            base.measure([1.0, 1.0], false, Instant(15_000));
+            let frame = base.poll_transmit(Instant(1_000_000));
+            let counted = [3, 6].map(|at| i16::from_be_bytes([frame[at], frame[at + 1]]));
+            assert_eq!(counted, counts, "{wiring:?}");
+        }
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! made in the [`deployment`](crate::deployment).
 
 pub mod backup;
+pub mod bench;
 mod body;
 pub mod calibrate;
 pub mod calibration_drive;
@@ -150,6 +151,20 @@ pub enum RunError {
         /// Its socket.
         path: PathBuf,
         /// The reason, in one line.
+        reason: String,
+    },
+    /// A robot at a port does not do what is asked.
+    #[error("{port}: {reason}")]
+    Bench {
+        /// The port.
+        port: String,
+        /// The reason, in one line.
+        reason: String,
+    },
+    /// A parameter can't be asked for as typed.
+    #[error("{reason}")]
+    Parameter {
+        /// What is expected, in one line.
         reason: String,
     },
     /// A map can't be read.
@@ -304,6 +319,7 @@ impl RunError {
             | Self::Labels { .. }
             | Self::Deployment { .. }
             | Self::Control { .. }
+            | Self::Parameter { .. }
             | Self::Map(_)
             | Self::Output(_)
             | Self::Store(_)
@@ -327,7 +343,7 @@ impl RunError {
             | Self::Calibrate(_)
             | Self::TurnedMap { .. } => true,
             Self::Place(fault) => fault.is_bad_input(),
-            Self::Interrupted | Self::Typed(_) => false,
+            Self::Bench { .. } | Self::Interrupted | Self::Typed(_) => false,
             Self::Print(_) | Self::Grid(_) | Self::Picture(_) | Self::Randomness(_) => false,
         }
     }

@@ -47,7 +47,7 @@ use crate::{
 /// Speed of serial ports, other than a lidar's, in bits per second.
 const BAUD: u32 = 115_200;
 /// The beginning of `sensor` for a lidar.
-const LIDAR: &str = "ld06:";
+pub(in crate::run) const LIDAR: &str = "ld06:";
 /// Number of readings in a lidar's scan: one per degree.
 const LIDAR_READINGS: usize = 360;
 /// Interval between attempts to open a port that has hung up.
@@ -142,7 +142,7 @@ mod usual {
         [0.1, 0.0]
     }
     pub(super) fn fov_deg() -> f64 {
-        70.0
+        super::RobotFile::FOV_DEG
     }
     pub(super) fn max_range_m() -> f64 {
         2.5
@@ -153,6 +153,9 @@ mod usual {
 }
 
 impl RobotFile {
+    /// The field of view of an A010, in degrees.
+    pub const FOV_DEG: f64 = 70.0;
+
     /// Reads a file.
     ///
     /// # Errors
@@ -206,7 +209,9 @@ impl RobotFile {
         };
         let [x, y] = self.sensor_at_m;
         let config = Config::new(RobotId(self.id), model, bounds);
-        let config = Config { boot_nonce, mounting: Pose::from_metres(x, y, 0.0), ..config };
+        let validity = if self.lidar().is_some() { Ld06::validity() } else { config.validity };
+        let mounting = Pose::from_metres(x, y, 0.0);
+        let config = Config { boot_nonce, mounting, validity, ..config };
         let radius = (self.radius_m * 1_000.0).ceil() as u16;
         let motion = Motion {
             radius,

@@ -7,7 +7,7 @@ use ubimap_agent::{
     Bounds, Config, Memory,
     drive::Driving,
     locate::PoseSource,
-    sense::{self, Camera, SensorModel},
+    sense::{self, Camera, SensorModel, Validity},
 };
 use ubimap_protocol::{
     tile::Cell,
@@ -404,15 +404,18 @@ pub fn config(robot: &SimRobot, seed: u64) -> Config {
             step: sensor.step_rad() as f32,
         },
     };
+    // The cast saturates.
+    let millimetres = |metres: f64| (metres * 1000.0) as u16;
     let bounds = Bounds {
         readings: sensor.beams(),
         resolution: RESOLUTION,
-        max_range: (sensor.max_range_m() * 1000.0).clamp(0.0, f64::from(u16::MAX)) as u16,
+        max_range: millimetres(sensor.max_range_m()),
         ..BOUNDS
     };
     Config {
         mounting: sensor.mount(),
         boot_nonce: seed as u32 ^ u32::from(robot.id().0) << 16,
+        validity: Validity { clear: millimetres(sensor.clear_m()), ..Validity::of(model) },
         ..Config::new(robot.id(), model, bounds)
     }
 }

@@ -79,6 +79,11 @@ impl Server {
         self.ports.last_session(robot)?.said().state()
     }
 
+    /// Number of state reports in a robot's last session.
+    pub fn states(&self, robot: RobotId) -> u32 {
+        self.ports.last_session(robot).map_or(0, |session| session.said().states())
+    }
+
     /// The events that a robot has reported.
     pub fn events(&self, robot: RobotId) -> Option<&EventLog> {
         self.ports.last_session(robot).map(|session| session.said().events())

@@ -201,10 +201,10 @@ impl SimRobot {
         Part { prism: Prism { footprint, bottom: 0.0, top: self.height }, paint }
     }
 
-    /// Commands speeds in m/s and rad/s; the robot leaves its route.
+    /// Commands speeds in m/s and rad/s; the robot leaves its route. Only a robot with a fault drives backwards.
     pub(super) fn tell_wheels(&mut self, speed: f64, turn: f64) {
         let turn = turn.clamp(-self.turn_rate, self.turn_rate);
-        self.wheels = Some(Wheels { speed: speed.clamp(0.0, self.top_speed), turn });
+        self.wheels = Some(Wheels { speed: speed.clamp(-self.top_speed, self.top_speed), turn });
     }
 
     /// Whether it drives by commanded speeds.
@@ -228,8 +228,8 @@ impl SimRobot {
         let middle = self.truth.heading + angle / 2.0;
         let mut way = self.speed * seconds;
         let next = self.truth.position + DVec2::new(cos(middle), sin(middle)) * way;
-        let mut touched = None;
-        if way > 0.0 {
+        let (mut touched, backs) = (None, way < 0.0);
+        if way != 0.0 {
             let here = self.truth.position;
             // A robot that still leans on an obstacle does not touch it again.
             self.contact = self.contact.filter(|(_, at)| at.distance(here) < LEANS);
@@ -243,7 +243,8 @@ impl SimRobot {
             }
         }
         let ahead = DVec2::new(cos(middle), sin(middle)) * BUMPER;
-        self.is_touching = touched.is_some()
+        // The bumper is at the front.
+        self.is_touching = touched.is_some() && !backs
             || self.is_touching && contact(self.body(), self.truth.position + ahead).is_some();
         self.truth.heading = wrap(self.truth.heading + angle);
         self.measure(way, angle);

@@ -7,6 +7,7 @@ use parry2d_f64::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use ubimap_agent::sense::NOTHING_IN_RANGE;
 use ubimap_protocol::units::Pose;
 
 use super::{
@@ -23,6 +24,9 @@ const STEREO_NOISE: f64 = 0.08;
 /// Baseline of a D435 in metres.
 const BASELINE: f64 = 0.05;
 
+/// A beam whose noise exceeds this many standard deviations gets nothing back: one in 370.
+const LOST: f64 = 3.0;
+
 /// Rays per wide zone in each direction.
 const RAYS: i32 = 3;
 
@@ -35,11 +39,14 @@ pub struct RangeSensor {
     y: f64,
     heading: f64,
     askew: f64,
+    /// How far it looks down, in radians.
+    tilt: f64,
     height: f64,
     fov: f64,
     beams: usize,
     min_range: f64,
     max_range: f64,
+    clear: f64,
     rate: f64,
     noise: f64,
     noise_ratio: f64,
@@ -113,6 +120,11 @@ impl RangeSensor {
         self.max_range
     }
 
+    /// Distance in metres up to which a beam without a return says that the ground is free; 0 if it says nothing.
+    pub fn clear_m(&self) -> f64 {
+        self.clear
+    }
+
     /// Whether it is a grey camera, which delivers pictures instead of ranges.
     pub fn sees_grey(&self) -> bool {
         self.sees_grey
@@ -140,11 +152,13 @@ impl RangeSensor {
             y: config.y_m,
             heading: config.heading_deg.to_radians(),
             askew: config.askew_deg.to_radians(),
+            tilt: config.tilt_deg.to_radians(),
             height: config.height_m,
             fov: config.fov_deg.to_radians(),
             beams: config.beams.max(2),
             min_range: config.min_range_m,
             max_range: config.max_range_m,
+            clear: config.clear_m,
             rate: config.rate_hz,
             noise: config.noise_m,
             noise_ratio: config.noise_ratio,
@@ -159,7 +173,8 @@ impl RangeSensor {
         (origin, robot.heading + self.heading + self.askew, self.fov / 2.0)
     }
 
-    /// A scan at a pose of the robot: millimetres for each beam, zero for no return.
+    /// A scan at a pose of the robot: millimetres for each beam, or [`NOTHING_IN_RANGE`] for no return if that
+    /// says anything, else 0.
     pub(super) fn scan(
         &self,
         robot: PlanePose,
@@ -178,9 +193,14 @@ impl RangeSensor {
                 let fixed = room.first_hit(from, way, self.max_range).map(|(_, range)| range);
                 let moving =
                     near.iter().filter_map(|prism| prism.first_hit(from, way, self.max_range));
-                moving.chain(fixed).reduce(f64::min)
+                // A level ray meets no floor.
+                let floor = (way.z < 0.0).then(|| self.height / -way.z);
+                moving.chain(fixed).chain(floor).reduce(f64::min)
             };
-            self.ways(axis, beam).filter_map(meets).reduce(f64::min)
+            self.ways(axis, beam)
+                .map(|way| self.tilted(axis, way))
+                .filter_map(meets)
+                .reduce(f64::min)
         });
         let ranges: Vec<Option<f64>> = ranges.collect();
         // One random number for each beam, hit or not, so that distant people do not shift the noise.
@@ -201,7 +221,10 @@ impl RangeSensor {
         ranges
             .into_iter()
             .map(|range| (range, throw()))
-            .map(|(range, throw)| range.map_or(0, |range| self.reading(noisy(range, throw))))
+            .map(|(range, throw)| match range {
+                Some(range) if throw.abs() < LOST => self.reading(noisy(range, throw)),
+                _ => self.nothing(),
+            })
             .collect()
     }
 
@@ -230,11 +253,30 @@ impl RangeSensor {
         })
     }
 
-    fn reading(&self, range: f64) -> u16 {
-        if range < self.min_range || range > self.max_range {
-            return 0;
+    /// A ray of a level sensor as that of the tilted one.
+    fn tilted(&self, axis: f64, way: DVec3) -> DVec3 {
+        if self.tilt == 0.0 {
+            return way;
         }
-        (range * 1000.0).round() as u16
+        let forward = DVec2::new(cos(axis), sin(axis));
+        let (level, (sine, cosine)) = (way.truncate(), (sin(self.tilt), cos(self.tilt)));
+        let ahead = level.dot(forward);
+        let turned = level + forward * (ahead * (cosine - 1.0) + way.z * sine);
+        turned.extend(way.z * cosine - ahead * sine)
+    }
+
+    fn reading(&self, range: f64) -> u16 {
+        match range {
+            // Sensors notice what is too near.
+            _ if range < self.min_range => 0,
+            _ if range > self.max_range => self.nothing(),
+            _ => (range * 1000.0).round() as u16,
+        }
+    }
+
+    /// What a beam reads that gets nothing back.
+    fn nothing(&self) -> u16 {
+        if self.clear > 0.0 { NOTHING_IN_RANGE } else { 0 }
     }
 }
 

@@ -26,7 +26,7 @@ pub(crate) const BOUNDS: Bounds =
 /// The robot's configuration without a drive, for a random number that differs from boot to boot.
 pub(crate) fn config(boot_nonce: u32) -> Config {
     let config = Config::new(ROBOT, Ld06::sensor(SLICE_LENGTH), BOUNDS);
-    Config { boot_nonce, mounting: MOUNTING, ..config }
+    Config { boot_nonce, mounting: MOUNTING, validity: Ld06::validity(), ..config }
 }
 
 /// The driver of the lidar.

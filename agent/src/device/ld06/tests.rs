@@ -118,7 +118,7 @@ fn a_scan_gives_a_distance_vector_of_all_directions() {
 }
 
 #[test]
-fn zeros_and_weak_points_are_no_returns_and_the_nearest_point_counts() {
+fn zeros_are_nothing_in_range_weak_points_invalid_and_the_nearest_point_counts() {
     let seen = |bearing: f64| match bearing {
         // A point between two sectors belongs to the one on its right.
         ..=-90.0 => (0, 200),
@@ -128,7 +128,7 @@ fn zeros_and_weak_points_are_no_returns_and_the_nearest_point_counts() {
     };
     let mut sectors = [0; 36];
     let found = scans(&mut Ld06::new(&mut sectors), &packets(180.0, 80, seen).concat(), 47);
-    let quarters = [[0; 9], [0; 9], [700; 9], [800; 9]].concat();
+    let quarters = [[NOTHING_IN_RANGE; 9], [0; 9], [700; 9], [800; 9]].concat();
     assert_eq!(found[0].1[1..], quarters[1..]);
 }
 

@@ -5,6 +5,8 @@ use std::{
     io::{self, Write},
 };
 
+use ubimap_agent::sense::NOTHING_IN_RANGE;
+
 use super::{
     odometry::{compose, relative},
     scan_log::LoggedScan,
@@ -68,7 +70,7 @@ fn write_range(
     beam: Option<(usize, f64)>,
 ) -> io::Result<()> {
     let reading = beam.and_then(|(index, stretch)| Some((*scan.readings_mm.get(index)?, stretch)));
-    match reading.filter(|(reading, _)| *reading > 0) {
+    match reading.filter(|(reading, _)| !matches!(*reading, 0 | NOTHING_IN_RANGE)) {
         Some((reading, stretch)) => write!(out, " {:.3}", f64::from(reading) * stretch / 1000.0),
         None => write!(out, " {NO_RETURN}"),
     }

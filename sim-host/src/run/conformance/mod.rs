@@ -3,11 +3,7 @@
 pub mod options;
 mod wire_bench;
 
-use std::{
-    net::SocketAddr,
-    sync::{Arc, Mutex, PoisonError},
-    time::{Duration, SystemTime, UNIX_EPOCH},
-};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use self::{options::ConformanceOptions, wire_bench::WireBench};
 use super::{RunError, keys};
@@ -16,7 +12,7 @@ use crate::{
         process,
         serial::SerialPort,
         udp::{UdpLink, UdpSocket},
-        wire::{Wire, WireError, WireReader, WireWriter},
+        wire::{Wire, WireError},
     },
     conformance::{self, CheckResult, ConformanceReport, Keys, Role},
 };
@@ -68,40 +64,10 @@ fn open(options: &ConformanceOptions) -> Result<Wire, WireError> {
         (None, Some(address)) if Role::from(options.role) == Role::Server => {
             Ok(UdpLink::open(address, None)?.into_wire())
         }
-        (None, Some(address)) => {
-            let listener = Listener { socket: UdpSocket::bind(address)?, peer: Arc::default() };
-            Ok(Wire { reader: Box::new(listener.clone()), writer: Box::new(listener) })
-        }
+        (None, Some(address)) => Ok(UdpSocket::bind(address)?.into_wire()),
         (None, None) => Err(WireError::Open {
             name: "conformance".into(),
             reason: "give one of --serial, --udp and --exec".into(),
         }),
-    }
-}
-
-/// A UDP socket at which a robot is expected: the first sender is the robot.
-#[derive(Clone, Debug)]
-struct Listener {
-    socket: UdpSocket,
-    peer: Arc<Mutex<Option<SocketAddr>>>,
-}
-
-impl WireReader for Listener {
-    fn read_within(&mut self, buffer: &mut [u8], wait: Duration) -> Result<usize, WireError> {
-        let Some((from, bytes)) = self.socket.receive_within(wait)? else { return Ok(0) };
-        let peer = *self.peer.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(from);
-        if peer != from {
-            return Ok(0);
-        }
-        let count = bytes.len().min(buffer.len());
-        buffer[..count].copy_from_slice(&bytes[..count]);
-        Ok(count)
-    }
-}
-
-impl WireWriter for Listener {
-    fn write(&mut self, bytes: &[u8]) -> Result<(), WireError> {
-        let peer = *self.peer.lock().unwrap_or_else(PoisonError::into_inner);
-        peer.map_or(Ok(()), |peer| self.socket.peer(peer).write(bytes))
     }
 }

@@ -21,8 +21,8 @@ pub use knock::Knock;
 pub use replay::{FormatChoice, ReplayOptions, SlicingOptions};
 pub use selection::{GateName, PolicyName, SelectionOptions};
 pub use simulate::{MotionName, PeerMaskName, SensorName, SimulateOptions};
-pub(super) use values::{OptionError, heights, milliseconds, number, resolution, seconds};
-use values::{depth_scale, pose, probability, tolerance};
+pub(super) use values::{OptionError, heights, milliseconds, number, pose, resolution, seconds};
+use values::{depth_scale, probability, tolerance};
 
 use crate::{
     channel::{address::Address, fault::Faults},

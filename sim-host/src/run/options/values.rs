@@ -78,7 +78,7 @@ pub(super) fn tolerance(text: &str) -> Result<f64, OptionError> {
     number(text, 0.0, 1e6, "m")
 }
 
-pub(super) fn pose(text: &str) -> Result<Pose, OptionError> {
+pub(in crate::run) fn pose(text: &str) -> Result<Pose, OptionError> {
     let parts: Vec<&str> = text.split(',').map(str::trim).collect();
     let [x, y, heading] = parts[..] else { return Err(OptionError::NotAPose) };
     let metres = |text| number(text, -10_000.0, 10_000.0, "m");

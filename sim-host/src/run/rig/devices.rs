@@ -16,21 +16,34 @@ use ubimap_protocol::time::Instant;
 use super::files;
 use crate::{
     channel::wire::WireError,
-    devices::{SimA010, SimCreate2},
+    devices::{SimA010, SimCreate2, SimLd06, Wiring},
     run::{RunError, stage::Stage},
 };
 
 /// Speed of the ports in bits per second.
 const BAUD: u32 = 115_200;
 
-/// An A010 and a Create 2.
+/// A sensor and a Create 2.
 pub(super) struct Devices {
     sensor: Terminal,
     wheels: Terminal,
-    camera: SimA010,
+    sees: Sensor,
     base: SimCreate2,
     /// The speed and the turn rate last passed to the room.
     driven: [f64; 2],
+}
+
+/// A robot's sensor.
+pub(super) enum Sensor {
+    A010(SimA010),
+    Ld06(SimLd06),
+}
+
+impl Sensor {
+    /// An A010, or an LD06.
+    pub(super) fn new(is_lidar: bool) -> Self {
+        if is_lidar { Self::Ld06(SimLd06::new()) } else { Self::A010(SimA010::new(BAUD)) }
+    }
 }
 
 /// A pseudo-terminal, with a link to its other end.
@@ -87,7 +100,7 @@ impl Drop for Terminal {
 
 impl Devices {
     /// Opens the ports; their links are `PREFIX-sensor` and `PREFIX-wheels`.
-    pub(super) fn open(prefix: &Path) -> Result<Self, RunError> {
+    pub(super) fn open(prefix: &Path, sees: Sensor, wiring: Wiring) -> Result<Self, RunError> {
         let link = |device: &str| {
             let mut name = prefix.as_os_str().to_owned();
             name.push(device);
@@ -96,15 +109,18 @@ impl Devices {
         Ok(Self {
             sensor: Terminal::open(link("-sensor"))?,
             wheels: Terminal::open(link("-wheels"))?,
-            camera: SimA010::new(BAUD),
-            base: SimCreate2::new(),
+            sees,
+            base: SimCreate2::new().wired(wiring),
             driven: [0.0; 2],
         })
     }
 
-    /// Passes a scan to the camera.
+    /// Passes a scan to the sensor.
     pub(super) fn scan(&mut self, readings: &[u16], taken: Instant) {
-        self.camera.expose(readings, taken);
+        match &mut self.sees {
+            Sensor::A010(camera) => camera.expose(readings, taken),
+            Sensor::Ld06(lidar) => lidar.expose(readings, taken),
+        }
     }
 
     /// When the base measures next.
@@ -124,14 +140,20 @@ impl Devices {
         let bytes = self.wheels.read();
         self.base.receive(&bytes, now);
         let bytes = self.sensor.read();
-        self.camera.receive(&bytes, now);
+        let seen = match &mut self.sees {
+            Sensor::A010(camera) => {
+                camera.receive(&bytes, now);
+                camera.poll_transmit(now)
+            }
+            Sensor::Ld06(lidar) => lidar.poll_transmit(now),
+        };
         let commanded = self.base.commanded();
         if commanded != self.driven {
             self.driven = commanded;
             let [speed, turn] = commanded.map(|it| (it * 1_000.0).round() as i16);
             stage.drive(now, robot, DriveCommand { speed, turn });
         }
-        self.sensor.write(&self.camera.poll_transmit(now));
+        self.sensor.write(&seen);
         self.wheels.write(&self.base.poll_transmit(now));
     }
 }

@@ -13,11 +13,14 @@ use crate::{
     recording::IntrinsicsFile,
     run::{
         RunError,
-        robot::RobotFile,
+        robot::{LIDAR, RobotFile},
         simulate::{RESOLUTION, registry},
     },
     world::{Scenario, SimRobot, World},
 };
+
+/// The range within which robots map: that of the images with a lidar.
+const FARTHEST_M: f64 = 2.5;
 
 /// The name of a camera's socket.
 pub(super) fn socket(camera: usize) -> String {
@@ -34,7 +37,7 @@ pub(super) fn write(
     folder: &Path,
     scenario: &Scenario,
     world: &World,
-    port: u16,
+    (port, lidars): (u16, &[u16]),
 ) -> Result<(), RunError> {
     let mut deployment = Table::new();
     deployment.insert("resolution_m".into(), RESOLUTION.metres().into());
@@ -49,7 +52,8 @@ pub(super) fn write(
     keep_or_write(&folder.join("deployment.toml"), &text)?;
     for robot in world.robots() {
         let number = robot.id().0;
-        let text = toml::to_string(&robot_file(robot, port)).unwrap_or_default();
+        let text =
+            toml::to_string(&robot_file(robot, port, lidars.contains(&number))).unwrap_or_default();
         keep_or_write(&folder.join(format!("robot-{number}.toml")), &text)?;
     }
     Ok(())
@@ -90,7 +94,7 @@ fn camera_keys(index: usize, calibration: &Calibration) -> Table {
     keys
 }
 
-fn robot_file(robot: &SimRobot, port: u16) -> RobotFile {
+fn robot_file(robot: &SimRobot, port: u16, has_lidar: bool) -> RobotFile {
     let number = robot.id().0;
     let sensor = robot.sensor();
     let mount = sensor.mount();
@@ -100,15 +104,17 @@ fn robot_file(robot: &SimRobot, port: u16) -> RobotFile {
         // A fixed port, so that a robot that was killed is welcomed at once.
         local: Some(([127, 0, 0, 1], port.wrapping_add(number).max(1_024)).into()),
         keys: None,
-        sensor: format!("robot-{number}-sensor").into(),
+        sensor: format!("{}robot-{number}-sensor", if has_lidar { LIDAR } else { "" }).into(),
         wheels: format!("robot-{number}-wheels").into(),
         radius_m: robot.radius_m(),
         speed_m_s: robot.limits()[0],
         turn_rad_s: robot.limits()[1],
         sensor_at_m: [mount.x.metres(), mount.y.metres()],
-        fov_deg: 2.0
-            * (sensor.beams() as f64 / 2.0 / sensor.focal_px().unwrap_or(1.0)).atan().to_degrees(),
-        max_range_m: sensor.max_range_m(),
+        // A lidar sees all around, whatever is stated.
+        fov_deg: sensor.focal_px().map_or(RobotFile::FOV_DEG, |focal| {
+            2.0 * (sensor.beams() as f64 / 2.0 / focal).atan().to_degrees()
+        }),
+        max_range_m: sensor.max_range_m().min(FARTHEST_M),
         resolution_m: RESOLUTION.metres(),
     }
 }

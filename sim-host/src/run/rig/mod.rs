@@ -1,12 +1,14 @@
 //! `ubimap rig`: the simulated room as the outside world, in real time, in a process of its own.
 //!
 //! It sends the frames of its cameras to the stream sockets of `ubimap serve`, and has the devices of each
-//! robot, an A010 and a Create 2, at pseudo-terminals for `ubimap robot`. The folder that it fills holds
+//! robot, an A010 or an LD06 and a Create 2, at pseudo-terminals for `ubimap robot`. A robot may be built wrongly
+//! ([`Fault`]). The folder that it fills holds
 //! the deployment, a configuration for each robot, and links to the pseudo-terminals. Nothing else passes
 //! between it and the server; the truth goes into its own report.
 
 mod clock;
 mod devices;
+mod faults;
 mod files;
 mod sender;
 
@@ -37,7 +39,8 @@ use crate::{
 };
 
 use clock::{Step, WallClock};
-use devices::Devices;
+use devices::{Devices, Sensor};
+use faults::Fault;
 use sender::Sender;
 
 /// Interval between two looks at the devices.
@@ -65,6 +68,16 @@ pub struct RigOptions {
     /// Seed of all random numbers of the room
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
+
+    /// Build a robot wrongly: 1:left-motor (its wires are swapped), right-motor, left-encoder, right-encoder,
+    /// swapped-motors, swapped-encoders, ticks=1.03 (3 % more counts per metre), tilt=4 (the sensor looks
+    /// down by 4 degrees); can be repeated
+    #[arg(long, value_name = "ROBOT:FAULT")]
+    pub fault: Vec<Fault>,
+
+    /// Give these robots an LD06 lidar instead of an A010
+    #[arg(long, value_name = "N,M", value_delimiter = ',')]
+    pub lidar: Vec<u16>,
 
     /// Duration in seconds; without it, until stopped
     #[arg(long, value_name = "S", value_parser = seconds, allow_negative_numbers = true)]
@@ -119,18 +132,29 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
         }
         scenario.robots.truncate(asked);
     }
+    let named = options.lidar.iter().copied().chain(options.fault.iter().map(|it| it.robot()));
+    if let Some(robot) = faults::missing(&scenario, named) {
+        let reason = format!("has no robot {robot}, which --fault or --lidar names");
+        return Err(RunError::Deployment { path: options.scenario.clone(), reason });
+    }
     for robot in &mut scenario.robots {
+        faults::tilt(&options.fault, robot);
         *robot = robot.on_create2(CAMERA.binning.side());
+        if options.lidar.contains(&robot.id) {
+            *robot = robot.clone().with_ld06();
+        }
     }
     let world = World::new(&scenario, None, RESOLUTION, options.seed)?;
     let devices = world.robots().iter().map(|robot| {
-        let name = format!("robot-{}", robot.id().0);
-        Devices::open(&options.folder.join(name))
+        let number = robot.id().0;
+        let prefix = options.folder.join(format!("robot-{number}"));
+        let sensor = Sensor::new(options.lidar.contains(&number));
+        Devices::open(&prefix, sensor, faults::wiring(&options.fault, number))
     });
     std::fs::create_dir_all(&options.folder)
         .map_err(|error| files::refused(&options.folder, &error))?;
     let mut devices = devices.collect::<Result<Vec<_>, _>>()?;
-    files::write(&options.folder, &scenario, &world, options.port)?;
+    files::write(&options.folder, &scenario, &world, (options.port, &options.lidar))?;
     let clock = WallClock::start(options.set_clock);
     let senders = FrameSource::cameras(&world).iter().enumerate();
     let senders =

@@ -21,6 +21,8 @@ pub enum Errand {
     Looks([f64; 2]),
     /// It stands because somebody is in its way to this place.
     HeldUp([f64; 2]),
+    /// It was blocked this many times in a row where it stands, and pauses.
+    Blocked(u32),
 }
 
 impl Coordinator {
@@ -30,6 +32,9 @@ impl Coordinator {
         let place = |point: Point| [point.x, point.y];
         let goal = member.goal.map(place);
         let target = member.target.map(|target| place(target.frontier));
+        if let Some(trouble) = member.trouble.filter(|_| member.halted.is_some()) {
+            return Some(Errand::Blocked(trouble.times));
+        }
         Some(match (goal, target) {
             (Some(to), _) | (None, Some(to)) if member.held_up.is_some() => Errand::HeldUp(to),
             (Some(goal), _) if member.is_told => Errand::NoWay(goal),
@@ -49,6 +54,10 @@ impl fmt::Display for Errand {
             Self::Goal([x, y]) => write!(f, "drives to {x:.2} m, {y:.2} m"),
             Self::NoWay([x, y]) => write!(f, "has no way to {x:.2} m, {y:.2} m"),
             Self::Looks([x, y]) => write!(f, "explores: looks at {x:.2} m, {y:.2} m"),
+            Self::Blocked(1) => write!(f, "was blocked, and gets another path"),
+            Self::Blocked(times) => {
+                write!(f, "was blocked {times} times in a row; tries again soon")
+            }
             Self::HeldUp([x, y]) => {
                 write!(f, "somebody is in its way to {x:.2} m, {y:.2} m")
             }

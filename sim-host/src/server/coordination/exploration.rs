@@ -185,8 +185,13 @@ impl Coordinator {
 
     /// Gives up a frontier that can't be reached.
     pub(super) fn give_up_target(&mut self, index: usize, now: Instant) {
+        self.put_off_target(index, now + self.settings.exploration.put_off);
+    }
+
+    /// Gives up a robot's frontier until then.
+    pub(super) fn put_off_target(&mut self, index: usize, until: Instant) {
         if let Some(target) = self.members[index].target.take() {
-            self.tried.push(Tried::new(&target, now + self.settings.exploration.put_off));
+            self.tried.push(Tried::new(&target, until));
         }
     }
 

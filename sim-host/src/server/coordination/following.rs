@@ -78,6 +78,9 @@ impl Coordinator {
     /// Handles a robot that was told to stop. Once it stands still, it may get another route.
     fn follow_halted(&mut self, index: usize, now: Instant) {
         let (rules, member) = (&self.settings.following, &mut self.members[index]);
+        if member.pauses(now) {
+            return;
+        }
         let Some(halted) = member.halted.map(|halted| now.since(halted)) else { return };
         let stands = member.still_for() >= rules.halted
             || halted >= rules.reported && member.unmoved_for(now) >= rules.halted;
@@ -124,9 +127,22 @@ impl Coordinator {
         // People go away sooner than things.
         let is_person = member.is_behind_person(&self.settings.following, now);
         let time = if is_person { costs.held_up_by_person_for } else { costs.held_up_for };
-        self.held_up.push((disc, now + time));
-        self.notices.push_back((member.id, Notice::Blocked));
+        let rules = self.settings.escalation;
+        let place = self.reservations.claim(index).position();
+        let times = self.members[index].block(place, &rules, now);
+        self.held_up.push((disc, now + rules.longer(time, times)));
+        let (is_first, is_last) = (times == 1, times == rules.gives_up);
+        let member = &mut self.members[index];
+        if is_last && member.goal.take().is_some() {
+            self.notices.push_back((member.id, Notice::GaveUp));
+        } else if is_first {
+            self.notices.push_back((member.id, Notice::Blocked));
+        }
         self.halt(index, now);
+        if !is_first {
+            let put_off = rules.longer(self.settings.exploration.put_off, times);
+            self.put_off_target(index, now + put_off);
+        }
     }
 
     fn halt(&mut self, index: usize, now: Instant) {

@@ -36,6 +36,8 @@ pub(super) struct Ground {
     cells: Vec<Cell>,
     /// Whether the cell is unknown and out of view of the cameras.
     blind: Vec<bool>,
+    /// Whether the cell is known, or near a robot: a robot's own planner keeps its centre on known ground.
+    trusted: Vec<bool>,
     /// Squared distances in cells, to the nearest wall (an occupied cell, or one deep in unknown
     /// ground) and to the nearest movable cell.
     walls: Vec<u32>,
@@ -75,6 +77,7 @@ impl Ground {
             width,
             cells: vec![Cell::Unknown; cells],
             blind: vec![true; cells],
+            trusted: Vec::new(),
             walls: Vec::new(),
             movable: Vec::new(),
         }
@@ -130,9 +133,13 @@ impl Ground {
         };
         let to_free = squared_distances(&is_free, self.width);
         let mut is_wall: Vec<bool> = self.cells.iter().copied().zip(to_free).map(is_wall).collect();
+        let mut trusted: Vec<bool> = self.cells.iter().map(|it| *it != Cell::Unknown).collect();
         for disc in trodden {
             let near = disc.grown(clearances.wall_m + clearances.trodden_m);
-            self.within(&near, |at| is_wall[at] &= self.cells[at] != Cell::Unknown);
+            self.within(&near, |at| {
+                is_wall[at] &= self.cells[at] != Cell::Unknown;
+                trusted[at] = true;
+            });
             // Others have drawn its outline there while they did not know where it stands.
             self.within(&disc.grown(self.side_m), |at| is_wall[at] = false);
         }
@@ -144,6 +151,7 @@ impl Ground {
             *is_wall |= self.is_border(at);
         }
         let is_movable: Vec<bool> = self.cells.iter().map(|it| *it == Cell::Movable).collect();
+        self.trusted = trusted;
         self.walls = squared_distances(&is_wall, self.width);
         self.movable = squared_distances(&is_movable, self.width);
     }
@@ -168,6 +176,11 @@ impl Ground {
 
     pub(super) fn is_unknown(&self, at: usize) -> bool {
         self.cells[at] == Cell::Unknown
+    }
+
+    /// Whether a robot's centre may be there, as far as walls allow it.
+    pub(super) fn is_trusted(&self, at: usize) -> bool {
+        self.trusted[at]
     }
 
     /// Whether the cell is unknown and out of view of the cameras.

@@ -5,7 +5,12 @@ use ubimap_protocol::{
     units::RobotId,
 };
 
-use super::{ground::Point, settings::FollowingRules, situation::Whereabouts, target::Target};
+use super::{
+    ground::Point,
+    settings::{EscalationRules, FollowingRules},
+    situation::Whereabouts,
+    target::Target,
+};
 
 /// One robot.
 #[derive(Clone, Debug)]
@@ -22,6 +27,8 @@ pub(super) struct Member {
     pub(super) target: Option<Target>,
     /// When the robot was told to stop in order to get another route; `None` if it was not.
     pub(super) halted: Option<Instant>,
+    /// Where the robot was last blocked.
+    pub(super) trouble: Option<Trouble>,
     /// When a person began to block the robot's way.
     pub(super) held_up: Option<Instant>,
     /// When the robot last reported that it stood for a person.
@@ -40,6 +47,16 @@ pub(super) struct Member {
     seen: Instant,
 }
 
+/// A place where a robot was blocked.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Trouble {
+    at: Point,
+    /// How often in a row.
+    pub(super) times: u32,
+    /// Until when the robot pauses there.
+    pub(super) until: Instant,
+}
+
 impl Member {
     pub(super) fn new(robot: &Whereabouts) -> Self {
         Self {
@@ -50,6 +67,7 @@ impl Member {
             goal: None,
             target: None,
             halted: None,
+            trouble: None,
             held_up: None,
             stood_for_person: None,
             waits_since: None,
@@ -101,6 +119,21 @@ impl Member {
     /// Whether a place is close enough to the robot's destination.
     pub(super) fn is_there(&self, place: Point, rules: &FollowingRules) -> bool {
         self.destination().is_some_and(|it| (it - place).norm() <= rules.arrived_m)
+    }
+
+    /// Notes that the robot was blocked at `at`, and lets it pause. Returns how often in a row it was blocked
+    /// there.
+    pub(super) fn block(&mut self, at: Point, rules: &EscalationRules, now: Instant) -> u32 {
+        let before = self.trouble.filter(|it| (it.at - at).norm() <= rules.same_m);
+        let times = before.map_or(1, |it| it.times.saturating_add(1));
+        let pause = if times > 1 { rules.longer(rules.pause, times) } else { Duration(0) };
+        self.trouble = Some(Trouble { at, times, until: now + pause });
+        times
+    }
+
+    /// Whether the robot pauses where it was blocked.
+    pub(super) fn pauses(&self, now: Instant) -> bool {
+        self.trouble.is_some_and(|it| now < it.until)
     }
 
     /// Whether the robot can be commanded to drive.

@@ -24,6 +24,8 @@ pub struct Settings {
     pub clearances: Clearances,
     /// When a robot counts as following its path.
     pub following: FollowingRules,
+    /// What is done about a robot that is blocked again and again.
+    pub escalation: EscalationRules,
     /// How a route is granted and sent.
     pub granting: GrantingRules,
     /// Cost of crossing ground that is not open.
@@ -49,6 +51,7 @@ impl Default for Settings {
             rates: Rates::default(),
             clearances: Clearances::default(),
             following: FollowingRules::default(),
+            escalation: EscalationRules::default(),
             granting: GrantingRules::default(),
             costs: CrossingCosts::default(),
             survey: SurveyRules::default(),
@@ -169,6 +172,36 @@ impl Default for FollowingRules {
     }
 }
 
+/// What is done about a robot that is blocked again and again at one place: each time it pauses for twice as
+/// long, and the place before it is avoided for twice as long. From the second time on it looks at another
+/// frontier; a goal that a user gave is given up at last.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EscalationRules {
+    /// Maximum distance between two places that count as one, in metres.
+    pub same_m: f64,
+    /// The shortest pause, before the second attempt.
+    pub pause: Duration,
+    /// Maximum number of doublings.
+    pub doublings: u32,
+    /// How often in a row a robot is blocked until its goal is given up.
+    pub gives_up: u32,
+}
+
+impl EscalationRules {
+    /// A time that has grown with the number of times that a robot was blocked in a row.
+    pub(super) fn longer(&self, time: Duration, times: u32) -> Duration {
+        let doublings = times.saturating_sub(1).min(self.doublings).min(16);
+        Duration::from_micros(time.micros().saturating_mul(1 << doublings))
+    }
+}
+
+impl Default for EscalationRules {
+    /// Pauses of 2, 4, 8 and 16 s: a goal is given up after some 40 s.
+    fn default() -> Self {
+        Self { same_m: 0.5, pause: Duration::from_secs(1), doublings: 4, gives_up: 6 }
+    }
+}
+
 /// How a route is granted and sent. Routes are lists of points 0.1 m apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GrantingRules {
@@ -238,9 +271,9 @@ pub struct SurveyRules {
     /// Maximum distance of surveyed tiles from the median of the robots' positions: 40 tiles are 64
     /// m with 5 cm cells. Bounds the memory that a stray tile can cost.
     pub reach_tiles: i32,
-    /// Unknown cells at most this number of cells from free ones are passable. Otherwise every
-    /// narrow passage would be closed until all cells around it are known. Only small things can be
-    /// hidden there, and a robot stops before obstacles that it sees.
+    /// Unknown cells at most this number of cells from free ones are no walls: robots pass beside them, but
+    /// not through them. Otherwise every narrow passage would be closed until all cells around it are known.
+    /// Only small things can be hidden there, and a robot stops before obstacles that it sees.
     pub edge_cells: u32,
 }
 

@@ -77,8 +77,10 @@ pub enum Notice {
     /// There is no longer a route to its goal. The search is repeated from time to time, without
     /// another notice.
     NoWay,
-    /// The robot can't continue on its path, and will get another one.
+    /// The robot can't continue on its path, and will get another one. Told once for a place.
     Blocked,
+    /// The robot was blocked so often that its goal is given up.
+    GaveUp,
 }
 
 impl fmt::Display for Notice {
@@ -88,6 +90,10 @@ impl fmt::Display for Notice {
             Self::Refused(error) => write!(f, "gets no path: {error}"),
             Self::NoWay => write!(f, "has no way to its goal any more"),
             Self::Blocked => write!(f, "is blocked and will get another path"),
+            Self::GaveUp => write!(
+                f,
+                "was blocked again and again, and has given up its goal; clear its way and send it anew"
+            ),
         }
     }
 }

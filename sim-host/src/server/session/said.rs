@@ -11,6 +11,8 @@ use crate::server::{command, events::EventLog};
 #[derive(Debug, Default)]
 pub(crate) struct Said {
     state: Option<State>,
+    /// Number of states in this session.
+    states: u32,
     events: EventLog,
     time_requests: u32,
     /// The answer to the newest parameter command of a user.
@@ -32,6 +34,7 @@ impl Said {
 
     pub(super) fn add_state(&mut self, state: State) {
         self.state = Some(state);
+        self.states = self.states.saturating_add(1);
     }
 
     pub(super) fn add_event(&mut self, event: Event, received: Instant) {
@@ -80,6 +83,10 @@ impl Said {
 
     pub(crate) fn events(&self) -> &EventLog {
         &self.events
+    }
+
+    pub(crate) fn states(&self) -> u32 {
+        self.states
     }
 
     pub(crate) fn time_requests(&self) -> u32 {

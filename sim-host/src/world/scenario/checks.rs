@@ -298,6 +298,7 @@ impl Scenario {
         self.number(&key_of("height_m"), sensor.height_m, 0.0..=self.room.height_m)?;
         self.angle(&key_of("heading_deg"), sensor.heading_deg)?;
         self.angle(&key_of("askew_deg"), sensor.askew_deg)?;
+        self.number(&key_of("tilt_deg"), sensor.tilt_deg, -45.0..=45.0)?;
         let widest = if sensor.preset == SensorPreset::Beams { 360.0 } else { 170.0 };
         self.number(&key_of("fov_deg"), sensor.fov_deg, 0.1..=widest)?;
         if sensor.preset == SensorPreset::GreyCamera && sensor.beams != 320 {
@@ -311,6 +312,7 @@ impl Scenario {
         // A reading is a 16-bit number of millimetres.
         self.number(&key_of("max_range_m"), sensor.max_range_m, 0.01..=65.5)?;
         self.number(&key_of("min_range_m"), sensor.min_range_m, 0.0..=sensor.max_range_m)?;
+        self.number(&key_of("clear_m"), sensor.clear_m, 0.0..=sensor.max_range_m)?;
         self.number(&key_of("rate_hz"), sensor.rate_hz, 0.01..=100.0)?;
         self.number(&key_of("noise_m"), sensor.noise_m, 0.0..=10.0)?;
         self.number(&key_of("noise_ratio"), sensor.noise_ratio, 0.0..=1.0)

@@ -57,6 +57,11 @@ impl RobotConfig {
         Self { radius_m: 0.17, box_m: None, sensor, route, ..self.clone() }
     }
 
+    /// This robot with an LD06 lidar in the place of its sensor.
+    pub fn with_ld06(self) -> Self {
+        Self { sensor: self.sensor.to_ld06(), ..self }
+    }
+
     /// The default robot, with a route through these points.
     pub(in super::super) fn at(id: u16, start: StartConfig, waypoints_m: Vec<[f64; 2]>) -> Self {
         Self {
@@ -118,6 +123,8 @@ pub struct SensorConfig {
     pub heading_deg: f64,
     /// Mounting error: actual rotation from that direction, counter-clockwise, unknown to the robot.
     pub askew_deg: f64,
+    /// Mounting error: how far it looks down, unknown to the robot.
+    pub tilt_deg: f64,
     /// Field of view: from the first beam to the last; for a camera, from edge to edge.
     pub fov_deg: f64,
     /// Number of beams or columns.
@@ -126,6 +133,8 @@ pub struct SensorConfig {
     pub min_range_m: f64,
     /// Maximum range; farther returns are lost.
     pub max_range_m: f64,
+    /// A beam without a return says that the ground is free up to here; 0 if it says nothing.
+    pub clear_m: f64,
     /// Scan rate.
     pub rate_hz: f64,
     /// Standard deviation of a range: constant part.
@@ -165,10 +174,12 @@ impl SensorPreset {
             height_m: 0.2,
             heading_deg: 0.0,
             askew_deg: 0.0,
+            tilt_deg: 0.0,
             fov_deg: 87.0,
             beams: 160,
             min_range_m: 0.1,
             max_range_m: 4.0,
+            clear_m: 4.0,
             rate_hz: 10.0,
             noise_m: 0.004,
             noise_ratio: 0.002,
@@ -178,6 +189,7 @@ impl SensorPreset {
             Self::DepthRow => SensorConfig {
                 beams: 640,
                 min_range_m: 0.2,
+                clear_m: 0.0,
                 noise_m: 0.0,
                 noise_ratio: 0.0,
                 ..beams
@@ -186,6 +198,7 @@ impl SensorPreset {
                 fov_deg: 70.0,
                 beams: 100,
                 max_range_m: 2.5,
+                clear_m: 0.0,
                 noise_m: 0.003,
                 noise_ratio: 0.01,
                 ..beams
@@ -195,6 +208,7 @@ impl SensorPreset {
                 beams: GREY_COLUMNS,
                 min_range_m: 0.0,
                 max_range_m: 2.0,
+                clear_m: 0.0,
                 rate_hz: 5.0,
                 noise_m: 0.0,
                 noise_ratio: 0.0,
@@ -227,9 +241,19 @@ impl SensorConfig {
 
     /// An A010 depth camera with this number of columns, mounted as this sensor.
     fn to_a010(&self, columns: usize) -> Self {
-        let &Self { x_m, y_m, height_m, heading_deg, askew_deg, .. } = self;
+        let &Self { x_m, y_m, height_m, heading_deg, askew_deg, tilt_deg, .. } = self;
         let camera = SensorPreset::Tof100.sensor();
-        Self { x_m, y_m, height_m, heading_deg, askew_deg, beams: columns, ..camera }
+        Self { x_m, y_m, height_m, heading_deg, askew_deg, tilt_deg, beams: columns, ..camera }
+    }
+
+    /// An LD06 lidar over the middle of the robot, as high as this sensor. It is asked many times per turn, as
+    /// it turns; its readings are those of the moment.
+    fn to_ld06(&self) -> Self {
+        let &Self { height_m, heading_deg, askew_deg, tilt_deg, .. } = self;
+        let lidar = SensorPreset::Beams.sensor();
+        let lidar = Self { x_m: 0.0, fov_deg: 359.0, beams: 360, rate_hz: 40.0, ..lidar };
+        let noise = Self { min_range_m: 0.02, max_range_m: 12.0, noise_m: 0.01, ..lidar };
+        Self { height_m, heading_deg, askew_deg, tilt_deg, noise_ratio: 0.0, ..noise }
     }
 }
 
@@ -249,10 +273,12 @@ struct SensorKeys {
     height_m: Option<f64>,
     heading_deg: Option<f64>,
     askew_deg: Option<f64>,
+    tilt_deg: Option<f64>,
     fov_deg: Option<f64>,
     beams: Option<usize>,
     min_range_m: Option<f64>,
     max_range_m: Option<f64>,
+    clear_m: Option<f64>,
     rate_hz: Option<f64>,
     noise_m: Option<f64>,
     noise_ratio: Option<f64>,
@@ -268,10 +294,15 @@ impl From<SensorKeys> for SensorConfig {
             height_m: keys.height_m.unwrap_or(usual.height_m),
             heading_deg: keys.heading_deg.unwrap_or(usual.heading_deg),
             askew_deg: keys.askew_deg.unwrap_or(usual.askew_deg),
+            tilt_deg: keys.tilt_deg.unwrap_or(usual.tilt_deg),
             fov_deg: keys.fov_deg.unwrap_or(usual.fov_deg),
             beams: keys.beams.unwrap_or(usual.beams),
             min_range_m: keys.min_range_m.unwrap_or(usual.min_range_m),
             max_range_m: keys.max_range_m.unwrap_or(usual.max_range_m),
+            // No farther than the range stated, unless that is stated, too.
+            clear_m: keys.clear_m.unwrap_or_else(|| {
+                usual.clear_m.min(keys.max_range_m.unwrap_or(usual.max_range_m))
+            }),
             rate_hz: keys.rate_hz.unwrap_or(usual.rate_hz),
             noise_m: keys.noise_m.unwrap_or(usual.noise_m),
             noise_ratio: keys.noise_ratio.unwrap_or(usual.noise_ratio),

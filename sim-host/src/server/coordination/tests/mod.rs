@@ -1,5 +1,6 @@
 //! Complete drives of several robots on simple floors.
 
+mod blocked;
 mod exploration;
 mod floor;
 mod keeping;
