@@ -3,6 +3,11 @@
 //!
 //! Another board with one of these chips is a file as thin as `feather_f405.rs`.
 
+#[cfg(all(feature = "pico", feature = "pico2"))]
+compile_error!("pico and pico2 are different chips: choose one of these features");
+#[cfg(all(feature = "ld06", feature = "vl53"))]
+compile_error!("the robot has one sensor: choose one of the features ld06 and vl53");
+
 #[cfg_attr(feature = "rp2", path = "rp2.rs")]
 #[cfg_attr(not(feature = "rp2"), path = "stm32f405.rs")]
 mod chip;

@@ -102,6 +102,99 @@ struct Wheel {
 /// [`Machine::counts`](crate::Machine::counts) at 50 to 100 Hz; nothing is sent or received by bytes.
 ///
 /// Tested with simulated motors behind mocks of `embedded-hal`; never tried on a board.
+///
+/// A board of one's own, with a lidar at a serial port:
+///
+/// ```
+/// use core::{convert::Infallible, mem::take};
+/// use embedded_hal::{
+///     digital::{self, OutputPin},
+///     pwm::{self, SetDutyCycle},
+/// };
+/// use ubimap_agent::{
+///     Bounds, Config, Machine, Memory, Port,
+///     device::{
+///         Wheels,
+///         diff_drive::WheelBase,
+///         ld06::Ld06,
+///         pwm_motors::{Motor, PwmMotors, SpeedGains},
+///     },
+///     memory,
+/// };
+/// use ubimap_protocol::{frame::DEFAULT_FRAME, time::Instant, units::RobotId};
+///
+/// // A pin and a PWM channel: those of the chip's HAL.
+/// struct Pin(bool);
+/// struct Pwm(u16);
+///
+/// impl digital::ErrorType for Pin {
+///     type Error = Infallible;
+/// }
+/// impl OutputPin for Pin {
+///     fn set_low(&mut self) -> Result<(), Infallible> {
+///         self.0 = false;
+///         Ok(())
+///     }
+///     fn set_high(&mut self) -> Result<(), Infallible> {
+///         self.0 = true;
+///         Ok(())
+///     }
+/// }
+/// impl pwm::ErrorType for Pwm {
+///     type Error = Infallible;
+/// }
+/// impl SetDutyCycle for Pwm {
+///     fn max_duty_cycle(&self) -> u16 {
+///         1_000
+///     }
+///     fn set_duty_cycle(&mut self, duty: u16) -> Result<(), Infallible> {
+///         self.0 = duty;
+///         Ok(())
+///     }
+/// }
+///
+/// type Motors = PwmMotors<Motor<Pwm, Pin, Pin>, Motor<Pwm, Pin, Pin>>;
+///
+/// // What the board's interrupts fill and empty.
+/// #[derive(Default)]
+/// struct Board {
+///     now: Instant,
+///     from_server: Vec<u8>,
+///     to_server: Vec<u8>,
+///     from_lidar: Vec<u8>,
+///     counts: [i32; 2],
+/// }
+///
+/// // One turn of the main loop: what has come in, the time, what goes out.
+/// fn turn(board: &mut Board, machine: &mut Machine<'_, Ld06<'_>, Motors>) {
+///     machine.receive(Port::Server, &take(&mut board.from_server), board.now);
+///     machine.receive(Port::Sensor, &take(&mut board.from_lidar), board.now);
+///     machine.counts(take(&mut board.counts), board.now); // every 10 to 20 ms
+///     machine.timeout(board.now);
+///     let mut bytes = [0; DEFAULT_FRAME];
+///     while let Some(count @ 1..) = machine.poll_transmit(Port::Server, board.now, &mut bytes) {
+///         board.to_server.extend(&bytes[..count]);
+///     }
+///     // Now sleep until `machine.poll_timeout()`, a byte, or the next counts.
+/// }
+///
+/// const WHEELS: WheelBase = WheelBase::new(96_491, 110_000, 300, 800);
+/// const BOUNDS: Bounds = Bounds { readings: 360, ..Bounds::SMALL };
+///
+/// let motor = || Motor::new(Pwm(0), Pin(false), Pin(false));
+/// let wheels = PwmMotors::new((motor(), motor()), WHEELS, SpeedGains::default());
+/// let mut memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
+/// let mut turn_of_lidar = [0; BOUNDS.readings];
+/// let config = Config::new(RobotId(7), Ld06::sensor(BOUNDS.readings), BOUNDS);
+/// let mut machine =
+///     Machine::new(config, &mut memory, Ld06::new(&mut turn_of_lidar), wheels)?;
+///
+/// let mut board = Board { counts: [12, 11], ..Board::default() };
+/// turn(&mut board, &mut machine);
+/// assert_eq!(machine.wheels().counters().frames, 1);
+/// assert!(!board.to_server.is_empty(), "it says Hello");
+/// # Ok::<(), Box<dyn core::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct PwmMotors<L, R> {
     motors: (L, R),
