@@ -230,6 +230,13 @@ fn a_robot_is_monitored_and_its_parameters_are_read_and_set() {
     let (code, text) = monitor.end("-INT");
     assert_eq!(code, Some(0));
     assert!(text.contains("robot 7 has a session") && !text.contains('\u{1b}'), "{text}");
+
+    // What it changes for a while is as before when a signal ends it.
+    let sensor = Beside::start(&folder, &["sensor", &port, "--plain"]);
+    thread::sleep(Duration::from_secs(4));
+    assert_eq!(sensor.end("-INT").0, Some(0));
+    let get = printed(&folder, &["param", &port, "get", "gate-distance"]);
+    assert!(get.starts_with("gate-distance = 35 mm"), "{get}");
 }
 
 #[test]

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`options`] | where the robot is |
 //! | [`overheard`] | what a robot tells to whoever listens, before any session |
-//! | [`session`] | a session with the robot, as that of a server |
+//! | `opening`, [`session`] | a session with the robot, as that of a server |
 //! | `screen`, `picture` | text that is drawn again at its place; a view in characters |
 //! | `view`, `motion`, `tilt` | what a robot sees; how it has moved between two views; whether its sensor looks down |
 //! | [`quantity`] | parameters in their units |
@@ -15,6 +15,7 @@ mod diagnosis;
 pub mod findings;
 pub mod monitor;
 mod motion;
+mod opening;
 pub mod options;
 pub mod overheard;
 pub mod param;

@@ -91,8 +91,8 @@ pub fn run(options: &SensorOptions) -> Result<(), RunError> {
     let gate = bench.replace(Parameter::GateDistance as u16, 0)?;
     let shown = show(&mut bench, options, f64::from(mounting) / 1_000.0);
     if let Some(gate) = gate {
-        // Also after Ctrl-C; the robot may be gone.
-        let _ = bench.replace(Parameter::GateDistance as u16, gate);
+        let set = bench.set(Parameter::GateDistance as u16, gate);
+        bench.bid_farewell(set);
     }
     shown
 }

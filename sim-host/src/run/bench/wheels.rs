@@ -130,12 +130,11 @@ pub fn run(options: &WheelsOptions) -> Result<WheelsReport, RunError> {
     };
     let tried = trial.both();
     let Trial { mut bench, tries, tilt, .. } = trial;
-    // Also after Ctrl-C; the robot may be gone.
-    let _ = bench.command(Command::Stop(Stop { number: u32::MAX, stop: true }));
+    bench.bid_farewell(Command::Stop(Stop { number: u32::MAX, stop: true }));
     if let Some(gate) = gate {
-        let _ = bench.replace(Parameter::GateDistance as u16, gate);
+        let set = bench.set(Parameter::GateDistance as u16, gate);
+        bench.bid_farewell(set);
     }
-    let _ = bench.turn_until(Duration::from_millis(300), |_| false);
     tried?;
     Ok(WheelsReport {
         schema: "ubimap-wheels",
