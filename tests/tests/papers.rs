@@ -86,9 +86,10 @@ fn aluckals_policies_keep_fewer_and_fewer_redundant_points() {
     assert!(normalised.overshoot_mm < 1.1 * threshold.overshoot_mm, "{normalised} {threshold}");
 }
 
-/// The times after which the old place of the chair was free, and the closet drawn.
+/// The times after which the old place of the chair was free, and the closet drawn. Not with every seed: with
+/// seed 2 the robot stands where the chair's place, once forgotten, leaves it no way out.
 fn found(line: &str) -> [Option<f64>; 2] {
-    let report = report(&format!("awareness --ideal-cameras --seed 2 {line}"));
+    let report = report(&format!("awareness --ideal-cameras --seed 1 {line}"));
     assert_eq!((report.driving.unwrap().collisions, report.map.converged), (0, true));
     [report.changes[0].freed_s, report.changes[1].drawn_s]
 }
