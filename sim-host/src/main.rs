@@ -97,8 +97,18 @@ enum Command {
     /// Read and change the parameters of the robot at a port
     Param(ParamOptions),
     /// Draw what the robot at a port sees
+    ///
+    /// The robot sends up to one view per second: the free distance in each of up to 64 columns, from the middle
+    /// between its wheels. The rows of a depth image do not travel, and no robot measures its sensor's tilt; so a
+    /// tilted sensor shows by its consequence. One that looks down sees the floor, as a straight line across that
+    /// stays when the robot turns. One that looks up sees over low things, which nothing here tells.
     Sensor(SensorOptions),
     /// Turn the wheels of the robot at a port a little, and tell what is wrong with them
+    ///
+    /// Put the robot on the floor with half a metre free around it and more ahead, best with a wall or furniture in
+    /// its view. It drives ahead by --way, and then turns to the left; it keeps its own rules, so it stops for
+    /// obstacles, bumpers and Ctrl-C. Its own sensor tells, if it sees enough, how it has really moved; so does a
+    /// person (--saw-ahead, --saw-turn, --ask).
     Wheels(WheelsOptions),
     /// Draw sheets of the robots' markers to print, with the lines of the deployment that go with them
     Markers(MarkersOptions),

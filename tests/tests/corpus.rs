@@ -10,6 +10,7 @@ use std::{
 use ubimap_tests::{
     device_fuzz::devices,
     fuzz::{frames, links, messages, tiles},
+    port_fuzz::{overheard, parameters},
     vectors::hex,
 };
 
@@ -43,6 +44,16 @@ fn links_do_not_panic() {
 #[test]
 fn devices_do_not_panic() {
     run("devices", devices);
+}
+
+#[test]
+fn what_comes_from_a_port_does_not_panic() {
+    run("overheard", overheard);
+}
+
+#[test]
+fn words_for_parameters_do_not_panic() {
+    run("parameters", parameters);
 }
 
 fn run(name: &str, target: fn(&[u8])) {

@@ -135,11 +135,11 @@ impl A010Config {
 
     /// When frames come: documents state no jitter, and no error of the rate, so both are guesses.
     const fn regularity(&self) -> Regularity {
-        let interval = match 1_000_000_u64.checked_div(self.frames_per_second as u64) {
-            Some(interval) => Duration::from_micros(interval),
-            None => Duration::from_millis(0),
+        let interval = match 1_000_000_u32.checked_div(self.frames_per_second as u32) {
+            Some(interval) => interval,
+            None => 0,
         };
-        Regularity { interval, jitter: Duration::from_millis(20), error: Duration::from_millis(6) }
+        Regularity { interval, jitter: 20_000, error: 6_000 }
     }
 
     /// The time of a byte on the line, in 256ths of a microsecond.

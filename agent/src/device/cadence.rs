@@ -1,53 +1,52 @@
 //! When frames were sent that a device sends at regular intervals.
 
-use ubimap_protocol::time::{Duration, Instant};
+use ubimap_protocol::time::Instant;
 
-/// The regularity of a device's frames.
+/// The regularity of a device's frames, in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Regularity {
-    /// Interval between two frames.
-    pub(super) interval: Duration,
+    /// Interval between two frames, at most a minute.
+    pub(super) interval: u32,
     /// Deviations from it within this are the device's own, in both directions, and are averaged.
-    pub(super) jitter: Duration,
+    pub(super) jitter: u32,
     /// Maximum error of the interval.
-    pub(super) error: Duration,
+    pub(super) error: u32,
 }
 
-/// A frame that is this late is the first one after a pause of the device.
-const PAUSE: Duration = Duration::from_millis(250);
+/// A frame that is this late, in microseconds, is the first one after a pause of the device.
+const PAUSE: i32 = 250_000;
 /// Maximum number of frames lost in a row, and one.
 const MAX_COUNT: u16 = 10;
 /// Fraction of a deviation within the jitter by which the next frames are expected later or earlier.
-const GAIN: i64 = 8;
+const GAIN: i32 = 8;
 
 /// Estimates the moments of a device's frames. A frame that waited somewhere arrives late, never early, so
 /// that earlier frames tell when it was sent.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Cadence {
-    newest: Option<Instant>,
+    newest: Instant,
 }
 
 impl Cadence {
     /// Before the first frame.
-    pub(super) const NEW: Self = Self { newest: None };
+    pub(super) const NEW: Self = Self { newest: Instant(u64::MAX / 2) };
 
     /// The moment of a frame that arrived at `arrived`, and is the `count`th since the last one; with a count
     /// that can't be, as 0, a new series begins. After frames that were lost and not counted, moments are too
     /// early by their intervals at first, and right again after as many errors of an interval.
+    #[inline(never)]
     pub(super) fn moment(&mut self, arrived: Instant, count: u16, device: &Regularity) -> Instant {
-        let newest = self.newest.filter(|_| (1..=MAX_COUNT).contains(&count));
-        let interval = Duration::from_micros(device.interval.micros() * u64::from(count));
-        let due = newest.map(|newest| newest + interval);
-        let due = due.filter(|due| arrived.since(*due) < PAUSE).unwrap_or(arrived);
-        let late = arrived.0.wrapping_sub(due.0) as i64;
-        let later = if late.unsigned_abs() <= device.jitter.micros() {
-            late / GAIN
-        } else {
-            late.min(device.error.micros() as i64)
+        let due = device.interval.wrapping_mul(count.into());
+        let late = arrived.0.wrapping_sub(self.newest.0).wrapping_sub(due.into()) as i64;
+        let correction = match i32::try_from(late) {
+            Ok(late) if (1..=MAX_COUNT).contains(&count) && late < PAUSE => {
+                let within = late.unsigned_abs() <= device.jitter;
+                late - if within { late / GAIN } else { late.min(device.error as i32) }
+            }
+            _ => 0,
         };
-        let moment = Instant(due.0.saturating_add_signed(later));
-        self.newest = Some(moment);
-        moment
+        self.newest = Instant(arrived.0.wrapping_sub(correction as i64 as u64));
+        self.newest
     }
 }
 
@@ -56,11 +55,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const CAMERA: Regularity = Regularity {
-        interval: Duration::from_millis(100),
-        jitter: Duration::from_millis(20),
-        error: Duration::from_millis(6),
-    };
+    const CAMERA: Regularity = Regularity { interval: 100_000, jitter: 20_000, error: 6_000 };
 
     /// Maximum error in microseconds from the 50th frame on, of a camera whose interval is off by `off_micros`;
     /// `late` is by how much each frame arrives late, or early.

@@ -48,11 +48,7 @@ const SAFE: u8 = 2;
 
 /// The base sends a frame every 15 ms. With an error of 5 %, the moments are right again within a third of a
 /// second after a lost frame.
-const FRAMES: Regularity = Regularity {
-    interval: Duration::from_millis(15),
-    jitter: Duration::from_millis(0),
-    error: Duration::from_micros(750),
-};
+const FRAMES: Regularity = Regularity { interval: 15_000, jitter: 0, error: 750 };
 
 /// Opcodes.
 const START: u8 = 128;

@@ -204,7 +204,7 @@ impl<'b> Driver<'b> {
         let now = inputs.health.now;
         self.refused.get_or_insert([inputs.cells_refused; 2])[1] = inputs.cells_refused;
         let since = self.last.map_or(0, |last| now.since(last).micros());
-        let elapsed = (since as f32 * 1.0e-6).min(MAX_STEP);
+        let elapsed = (since.min(1_000_000) as u32 as f32 * 1.0e-6).min(MAX_STEP);
         self.last = Some(now);
         let amiss = self.safety.check(&inputs.health, self.command);
         let (command, reason) = match (amiss, inputs.health.pose) {

@@ -148,7 +148,11 @@ impl LookAround {
         let edge = (self.first + angle(left)).0 >> 11;
         for ray in (1..=RAYS).map(|ray| (u32::from(edge) + ray) % RAYS) {
             let bearing = Angle((ray << 11) as u16) - self.first;
-            let beyond = libm::fmodf(radians(bearing) - left + 2.0 * TAU, TAU);
+            // At most two turns are taken off; `fmodf` would cost 1 kB of flash for its division.
+            let mut beyond = radians(bearing) - left + 2.0 * TAU;
+            while beyond >= TAU {
+                beyond -= TAU;
+            }
             if self.rays >> ray & 1 != 0 && beyond < gap {
                 turn(last, Some(beyond));
                 last = Some(beyond);

@@ -197,7 +197,8 @@ fn movers(surroundings: &Surroundings<'_, '_>, pose: Pose, own_radius: i32) -> M
     if age > OBSTACLE_LOST {
         return movers;
     }
-    let millis = (age.micros() / 1_000) as i32;
+    // At most two seconds: a division of 64 bits costs a microcontroller 1 kB of flash.
+    let millis = (age.micros() as u32 / 1_000) as i32;
     let within = |obstacle: &Obstacle, of: Pose, radius: i32| {
         squared_distance(of, obstacle.x, obstacle.y) < i64::from(radius).pow(2)
     };

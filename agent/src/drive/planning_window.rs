@@ -310,12 +310,27 @@ impl PlanningWindow {
 
     /// The free cell nearest to `to`, within a few cells; `to` itself if it is free.
     pub(super) fn nearest_free(&self, to: Place) -> Option<Place> {
+        self.nearest_outside(to, &Plane::EMPTY)
+    }
+
+    /// The same among the free cells that can't be reached from that cell. In a coarse window, with its thick
+    /// walls, the robot may be in the one without being cut off from the other.
+    pub(super) fn nearest_cut_off(&self, to: Place) -> Option<Place> {
+        let mut reached = Plane::EMPTY;
+        reached.insert(self.nearest_free(to)?);
+        reached.flood(&self.free);
+        self.nearest_outside(to, &reached)
+    }
+
+    /// The free cell nearest to `to`, within a few cells, that is not in `left_out`.
+    fn nearest_outside(&self, to: Place, left_out: &Plane) -> Option<Place> {
         /// Larger than the errors of the pose and the map, in cells.
         const REACH: i32 = 6;
         let (x, y) = to.column_and_row();
         let about = (-REACH..=REACH).flat_map(|dy| (-REACH..=REACH).map(move |dx| (dx, dy)));
         let free = about.filter_map(|(dx, dy)| {
-            let place = Place::new(x + dx, y + dy).filter(|&it| self.free.has(it))?;
+            let is_free = |&it: &Place| self.free.has(it) && !left_out.has(it);
+            let place = Place::new(x + dx, y + dy).filter(is_free)?;
             Some((dx * dx + dy * dy, place))
         });
         free.min_by_key(|&(square, _)| square).map(|(_, place)| place)

@@ -171,7 +171,7 @@ impl Safety {
             commanded: (0.0, 0.0),
             measured: (0.0, 0.0),
         });
-        let elapsed = now.since(watch.last).micros().min(SPAN.micros()) as f32 * 1.0e-6;
+        let elapsed = now.since(watch.last).micros().min(SPAN.micros()) as u32 as f32 * 1.0e-6;
         if now.since(watch.since) + LAG <= SPAN {
             watch.commanded.0 += f32::from(command.speed).abs() * elapsed;
             watch.commanded.1 += f32::from(command.turn).abs() * 1.0e-3 * elapsed;

@@ -82,6 +82,8 @@ struct Attempt {
     /// The result of a coarse window: an intermediate point in the finest window, and where the
     /// whole route leads.
     via: Option<(Waypoint, End)>,
+    /// Whether it starts on ground that the coarse window cuts off, which the finest one must confirm.
+    cut_off: bool,
 }
 
 /// The stages of an attempt. Each is a step of its own, which bounds the instructions of a step.
@@ -126,7 +128,7 @@ impl<'b> Search<'b> {
             workspace,
             given_up: Vec::new(),
             sought: Sought::Frontier,
-            attempt: Attempt { level: 0, finest: 0, beyond: false, via: None },
+            attempt: Attempt { level: 0, finest: 0, beyond: false, via: None, cut_off: false },
             stage: Stage::Fill,
             target: Target::Frontier,
             route: Route::new(),
@@ -151,7 +153,7 @@ impl<'b> Search<'b> {
         let holds = |&level: &u32| far <= side.saturating_mul(1 << level);
         let finest = (0..MAX_LEVEL).find(holds).unwrap_or(MAX_LEVEL);
         self.sought = sought;
-        self.attempt = Attempt { level: finest, finest, beyond: false, via: None };
+        self.attempt = Attempt { level: finest, finest, beyond: false, via: None, cut_off: false };
         self.stage = Stage::Fill;
     }
 
@@ -174,7 +176,16 @@ impl<'b> Search<'b> {
                 self.target = self.target();
                 let Workspace { window, planner } = &mut *self.workspace;
                 let start = window.place(Waypoint { x: view.pose.x, y: view.pose.y });
-                match planner.begin(window, start.unwrap_or_default(), self.target) {
+                let start = start.unwrap_or_default();
+                let mut begun = planner.begin(window, start, self.target);
+                if begun == Err(PlanError::NoFrontier)
+                    && self.attempt.level > 0
+                    && let Some(other) = window.nearest_cut_off(start)
+                {
+                    self.attempt.cut_off = true;
+                    begun = planner.begin(window, other, self.target);
+                }
+                match begun {
                     Ok(()) => Progress::Searching,
                     Err(error) => Progress::Failed(error),
                 }
@@ -293,7 +304,11 @@ impl<'b> Search<'b> {
 
     /// Tries another window, or fails.
     fn try_otherwise(&mut self, error: PlanError, view: &WindowInputs<'_>) -> Outcome {
-        let Attempt { level, finest, beyond, via } = self.attempt;
+        let Attempt { level, finest, beyond, via, cut_off } = self.attempt;
+        if cut_off && via.is_some() {
+            // It lies behind a wall.
+            return Outcome::Failed(PlanError::NoFrontier);
+        }
         if let Some((_, End::Frontier(at, level))) = via
             && self.give_up(at, level, view)
         {
@@ -316,7 +331,7 @@ impl<'b> Search<'b> {
     }
 
     fn attempt_at(&mut self, level: u32, beyond: bool) -> Outcome {
-        self.attempt = Attempt { level, beyond, via: None, ..self.attempt };
+        self.attempt = Attempt { level, beyond, via: None, cut_off: false, ..self.attempt };
         self.stage = Stage::Fill;
         Outcome::Searching
     }

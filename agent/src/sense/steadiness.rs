@@ -46,7 +46,7 @@ pub struct Steadiness {
     limits: SteadyLimits,
     /// The last odometry used, and the speed at that time: mm/s along x and y of `odom`.
     last: Option<(Instant, Pose)>,
-    speed: Option<(i64, i64)>,
+    speed: Option<(f32, f32)>,
     /// Start and end of each shaken interval, oldest first.
     shaken: Deque<(Instant, Instant), REMEMBERED>,
 }
@@ -71,21 +71,23 @@ impl Steadiness {
             (self.last, self.speed) = (Some((moment, pose)), None);
             return;
         }
-        let micros = span.micros() as i64;
-        let rate = |difference: i64| difference * 1_000_000 / micros.max(1);
-        if rate(i64::from(pose.heading.distance(from.heading))) > i64::from(self.limits.turn.0) {
+        // In single precision: a division of 64 bits costs a microcontroller 1 kB of flash.
+        let per_second = 1.0e6 / span.micros() as u32 as f32;
+        let turned = f32::from(pose.heading.distance(from.heading));
+        if turned * per_second > f32::from(self.limits.turn.0) {
             self.shook(since, moment);
         }
         if span < MIN_SPEED_SPAN {
             return;
         }
         self.last = Some((moment, pose));
-        let along = |to: Millimetres, from: Millimetres| rate(i64::from(to.0) - i64::from(from.0));
+        let along =
+            |to: Millimetres, from: Millimetres| to.0.saturating_sub(from.0) as f32 * per_second;
         let speed = (along(pose.x, from.x), along(pose.y, from.y));
         let before = self.speed.replace(speed).unwrap_or(speed);
-        let gained = length_squared((rate(speed.0 - before.0), rate(speed.1 - before.1)));
-        let most = i64::from(self.limits.acceleration.0);
-        if gained > length_squared((most, 0)) {
+        let gained = ((speed.0 - before.0) * per_second, (speed.1 - before.1) * per_second);
+        let most = self.limits.acceleration.0 as f32;
+        if gained.0 * gained.0 + gained.1 * gained.1 > most * most {
             self.shook(since, moment);
         }
     }
@@ -121,10 +123,6 @@ impl Steadiness {
         // A place was freed above, so the push succeeds.
         let _ = self.shaken.push_back((from, to));
     }
-}
-
-fn length_squared((x, y): (i64, i64)) -> i64 {
-    x.saturating_mul(x).saturating_add(y.saturating_mul(y))
 }
 
 #[cfg(test)]

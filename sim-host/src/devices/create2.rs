@@ -219,11 +219,11 @@ mod tests {
         let good = Wiring::default();
         // The left wheel is told 100 mm/s, the right one 200; both roll 1 m, the right one 0.235 m more.
         for (wiring, speeds, counts) in [
-            (good, [100, 200], [1_984, 2_513]),
-            (Wiring { motors: [-1.0, 1.0], ..good }, [-100, 200], [1_984, 2_513]),
-            (Wiring { swapped_motors: true, ..good }, [200, 100], [1_984, 2_513]),
-            (Wiring { encoders: [1.0, -1.03], ..good }, [100, 200], [1_984, -2_589]),
-            (Wiring { swapped_encoders: true, ..good }, [100, 200], [2_513, 1_984]),
+            (good, [100, 200], [1_985, 2_513]),
+            (Wiring { motors: [-1.0, 1.0], ..good }, [-100, 200], [1_985, 2_513]),
+            (Wiring { swapped_motors: true, ..good }, [200, 100], [1_985, 2_513]),
+            (Wiring { encoders: [1.0, -1.03], ..good }, [100, 200], [1_985, -2_590]),
+            (Wiring { swapped_encoders: true, ..good }, [100, 200], [2_513, 1_985]),
         ] {
             let mut base = SimCreate2::new().wired(wiring);
             base.receive(&[128, 131, 145, 0, 200, 0, 100, 148, 2, 43, 44], Instant(0));

@@ -14,6 +14,7 @@ mod robot_layer;
 mod ros_merge;
 mod runs;
 mod served_layer;
+pub mod submaps;
 mod volatility;
 
 pub use agreement::{Agreements, Weight};

@@ -9,6 +9,7 @@ mod brief;
 mod calibrating;
 mod cameras;
 mod comparison;
+mod graph;
 mod link;
 mod network;
 mod output;
@@ -32,6 +33,7 @@ pub use calibrating::{
 };
 pub use cameras::CameraMove;
 pub use comparison::{Comparison, Published};
+pub use graph::GraphSummary;
 pub use link::LinkSummary;
 pub use network::{Network, NetworkCamera, NetworkPart, PartKind};
 pub use output::{OutputError, OutputFolder};

@@ -8,6 +8,7 @@ use super::{
     baselines::{BaselineSummary, ChangeSummary},
     cameras::CameraMove,
     comparison::Comparison,
+    graph::GraphSummary,
     link::LinkSummary,
     people::{RisingSummary, TrackedPerson},
     points::{ExposureSummary, PointsSummary},
@@ -53,6 +54,9 @@ pub struct Report {
     /// Errors of the cameras' poses; only if the run has calibrated them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<CalibrationErrors>,
+    /// The graph that the map was drawn from; only for logs with odometry alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub graph: Option<GraphSummary>,
     /// The exposure of recorded depths; left out without a rule.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure: Option<ExposureSummary>,
@@ -157,7 +161,8 @@ pub struct CalibrationErrors {
 pub struct MapSummary {
     /// Side length of a cell in metres.
     pub resolution_m: f64,
-    /// Cells that are free or occupied.
+    /// Cells that are free or occupied. If the map was drawn from a graph, these are its cells; the
+    /// digest is always that of the map that robots get.
     pub known: u64,
     /// Cells that are free.
     pub free: u64,
@@ -264,6 +269,7 @@ impl Report {
             driving: None,
             sighted: None,
             calibration: None,
+            graph: None,
             exposure: None,
             points: None,
             vision: None,
@@ -413,6 +419,9 @@ impl Report {
         }
         for person in &self.people {
             writeln!(f, "at the end: {person}")?;
+        }
+        if let Some(graph) = &self.graph {
+            write!(f, "{graph}")?;
         }
         if let Some(exposure) = &self.exposure {
             write!(f, "{exposure}")?;

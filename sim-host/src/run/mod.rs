@@ -17,6 +17,7 @@ mod driving;
 mod figures;
 pub mod fleet;
 mod floors;
+mod graph_map;
 pub mod grey_robot;
 pub mod heap;
 pub mod init;

@@ -2,7 +2,8 @@
 //!
 //! The log is cut into consecutive segments, one for each robot, which run at the same time. The poses
 //! of the log take the place of ceiling cameras: they give a fix for every scan, and at the cameras'
-//! frame rate in between.
+//! frame rate in between. If the log has odometry alone, the robots draw from it, without
+//! correction; the map of the run is then drawn from the [graph](graph_map) of what they saw.
 
 use std::{collections::VecDeque, time};
 
@@ -15,6 +16,7 @@ use ubimap_protocol::{
 use super::{
     Outcome, RunError, figures,
     fleet::{Event, Fleet, Stage, Tap},
+    graph_map::Received,
     heap::{BOUNDS, check_tiles},
     labels, markers,
     options::ReplayOptions,
@@ -26,11 +28,14 @@ use crate::{
     deployment::{self, Deployment},
     grid::OccupancyGrid,
     recording::{self, Log, LoggedScan},
-    report::{self, Caption, ExposureSummary},
+    report::{self, Caption, ExposureSummary, GraphSummary},
 };
 
 /// Time between the robots' boot and the first scan, in which they connect to the server.
 const BOOT: Duration = Duration::from_secs(5);
+/// Interval of the distance vectors of robots that have only odometry: the same as for robots out of
+/// the cameras' view.
+const VECTOR_INTERVAL: Duration = Duration::from_secs(1);
 /// Frame interval of the ceiling cameras.
 const FRAME_INTERVAL: Duration = Duration::from_micros(66_667);
 
@@ -76,14 +81,48 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     }
     fleet.tap(tap);
 
+    let mut received = has_only_odometry(&log).then(|| Received::of(stage.robots));
     let progress = Progress::new(stage.end());
-    let converged = fleet.run(&mut stage, |fleet| progress.at(fleet.now()))?;
+    let converged = fleet.run(&mut stage, |fleet| {
+        received.iter_mut().for_each(|received| received.look(fleet));
+        progress.at(fleet.now());
+    })?;
     drop(progress);
 
     let fused = fleet.server().fused();
     let tiles = fused.tiles().map(|(id, _, tile)| (id, tile));
-    let map = OccupancyGrid::from_tiles(tiles, options.resolution)?;
+    let mut map = OccupancyGrid::from_tiles(tiles, options.resolution)?;
+    let mut markers = markers::robots(&fleet);
+    let intervals = volatility::intervals(fleet.deployment(), &map, fleet.now());
+    let names = options.logs.iter().filter_map(|log| log.file_name()?.to_str());
+    let caption = Caption {
+        subject: names.collect::<Vec<_>>().join(", "),
+        seed: Some(options.run.seed),
+        time_s: Some(fleet.elapsed().micros() as f64 / 1e6),
+    };
+    let mut pictures =
+        vec![("volatility.png", report::render_volatility(&map, &intervals, &caption))];
+    let (mut tables, mut graph) = (Vec::new(), None);
+    if let Some(mut received) = received {
+        received.look(&fleet);
+        pictures.push(("odometry.png", report::render(&map, &markers, &caption)));
+        let starts = stage.starts(&log, &fleet);
+        let solved = received.solve(&starts, options.max_range, options.resolution)?;
+        tables.push(("trajectory.csv", solved.trajectory));
+        graph = Some(solved.summary);
+        if solved.summary.is_sound() {
+            (map, markers) = (solved.map, solved.markers);
+        } else {
+            let GraphSummary { unmatched, vectors, .. } = solved.summary;
+            log::warn!(
+                "{unmatched} of {vectors} distance vectors match nothing, so the map is the robots' own, by \
+                 odometry; see graph.png for the map of the graph"
+            );
+            pictures.push(("graph.png", report::render(&solved.map, &solved.markers, &caption)));
+        }
+    }
     let mut report = figures::report(&fleet, &map, options.run.seed, converged, bounds.own_tiles);
+    report.graph = graph;
     if !report.has_mapped() {
         let scans = log.scans.len();
         log::warn!(
@@ -93,32 +132,26 @@ pub fn run_tapped(options: &ReplayOptions, tap: Tap<'_>) -> Result<Outcome, RunE
     report.exposure = log.exposure.map(ExposureSummary::from);
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
-    let names = options.logs.iter().filter_map(|log| log.file_name()?.to_str());
-    let caption = Caption {
-        subject: names.collect::<Vec<_>>().join(", "),
-        seed: Some(options.run.seed),
-        time_s: Some(report.simulated_s),
-    };
-    let markers = markers::robots(&fleet);
-    let intervals = volatility::intervals(fleet.deployment(), &map, fleet.now());
-    let picture = report::render_volatility(&map, &intervals, &caption);
-    let pictures = vec![("volatility.png", picture)];
-    Ok(Outcome { report, map, markers, caption, pictures, tables: Vec::new() })
+    Ok(Outcome { report, map, markers, caption, pictures, tables })
 }
 
 fn config(robot: RobotId, bounds: Bounds, log: &Log, options: &ReplayOptions) -> Config {
-    let located = log.scans.iter().all(|scan| scan.pose.is_some());
-    Config {
+    let config = Config {
         boot_nonce: options.run.seed as u32 ^ u32::from(robot.0) << 16,
-        pose_source: if located {
-            PoseSource::Fixes
-        } else {
-            PoseSource::Odometry(Pose::default())
-        },
         policy: options.selection.policy.into(),
         gate: options.selection.gate(),
         ..Config::new(robot, log.sensor.model(), bounds)
+    };
+    if has_only_odometry(log) {
+        let pose_source = PoseSource::Odometry(Pose::default());
+        Config { pose_source, vector_interval: VECTOR_INTERVAL, ..config }
+    } else {
+        config
     }
+}
+
+fn has_only_odometry(log: &Log) -> bool {
+    log.scans.iter().any(|scan| scan.pose.is_none())
 }
 
 /// The scans of a log as events.
@@ -140,6 +173,13 @@ impl LogStage {
         // Simultaneous events keep their order: the camera first, then the robot.
         events.sort_by_key(|(moment, _)| *moment);
         Self { events: events.into(), robots }
+    }
+
+    /// The time of each robot's first scan: in the log, and by the server's clock.
+    fn starts(&self, log: &Log, fleet: &Fleet<'_>) -> Vec<(Duration, Instant)> {
+        let began = fleet.deployment().server_time(Instant(0) + BOOT);
+        let first = |robot: usize| log.scans[robot * log.scans.len() / self.robots].time;
+        (0..self.robots).map(|robot| (first(robot), began)).collect()
     }
 
     fn end(&self) -> Instant {

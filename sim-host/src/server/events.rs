@@ -91,6 +91,7 @@ impl Event {
     /// The log level of the event.
     pub fn level(&self) -> log::Level {
         match self {
+            Self::Joined(RobotId(0), _) => log::Level::Warn,
             Self::Joined(..) => log::Level::Info,
             Self::Reported(_, event) if is_routine(event) => log::Level::Info,
             Self::Drive(..) | Self::Dropped(..) | Self::Unread(..) => log::Level::Debug,
@@ -104,7 +105,7 @@ impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Joined(robot, port) => {
-                write!(f, "robot {} has a session on port {port}", robot.0)
+                write!(f, "robot {}{} has a session on port {port}", robot.0, about_number(*robot))
             }
             Self::Refused(hello, reason) => {
                 write!(f, "robot {} {}", hello.robot.0, refused(hello, *reason))
@@ -120,6 +121,16 @@ impl fmt::Display for Event {
                 write!(f, "port {port}: {events} more {kind} are left out here")
             }
         }
+    }
+}
+
+/// What to do about a robot's number, as an addition to it; empty if nothing.
+pub fn about_number(robot: RobotId) -> &'static str {
+    match robot.0 {
+        0 => {
+            " (number 0: its image was not provisioned, so it moves nothing; give it a number with ubimap provision)"
+        }
+        _ => "",
     }
 }
 
@@ -502,6 +513,14 @@ mod tests {
             refused(hello, RefusalReason::Frame(32)),
             "robot 7 is refused: it can receive frames of 20 bytes; the minimum is 32"
         );
+    }
+
+    #[test]
+    fn a_robot_without_a_number_is_a_warning_that_says_what_to_do() {
+        let joined = |robot| Event::Joined(RobotId(robot), 2);
+        assert_eq!(joined(7).to_string(), "robot 7 has a session on port 2");
+        assert_eq!((joined(7).level(), joined(0).level()), (log::Level::Info, log::Level::Warn));
+        assert!(joined(0).to_string().contains("ubimap provision"), "{}", joined(0));
     }
 
     fn reported(detail: &str) -> Event {

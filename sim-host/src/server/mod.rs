@@ -69,7 +69,9 @@ use crate::{
 
 pub use crate::perception::Footprint;
 pub use command::Command;
-pub use events::{Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, described};
+pub use events::{
+    Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, about_number, described,
+};
 pub use port::{MessageCounters, Policy};
 pub use ports::{CommandError, NoSuchPort};
 pub use unread::Unread;

@@ -319,10 +319,10 @@ impl SimRobot {
     fn measure(&mut self, way: f64, angle: f64) {
         let mut noise = || -> f64 { StandardNormal.sample(&mut self.dice) };
         let error = &self.error;
-        let measured_way = way * (1.0 + error.slip) + error.noise_m * way.sqrt() * noise();
+        let measured_way = way * (1.0 + error.slip) + error.noise_m * way.abs().sqrt() * noise();
         let measured_angle = angle * (1.0 + error.turn_slip)
             + error.drift_deg_per_m.to_radians() * way
-            + error.heading_noise_deg.to_radians() * (way + angle.abs()).sqrt() * noise();
+            + error.heading_noise_deg.to_radians() * (way.abs() + angle.abs()).sqrt() * noise();
         self.rolled = [self.rolled[0] + measured_way, self.rolled[1] + measured_angle];
         self.odometry.heading = wrap(self.odometry.heading + measured_angle);
         let heading = self.odometry.heading;

@@ -21,9 +21,11 @@ pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
     let found = columns.filter_map(|column| {
         let here = reading(column)?;
         // A jump in distance separates surfaces, so the column beyond it does not count as a
-        // neighbour. If one neighbour is missing, as at the end of the range, the other one is
+        // neighbour. From a column to the next, a wall that is seen at 10 degrees recedes by a
+        // third. If one neighbour is missing, as at the end of the range, the other one is
         // extrapolated.
-        let beside = |column: usize| reading(column).filter(|it| (it - here).abs() < 15);
+        let beside =
+            |column: usize| reading(column).filter(|it| (it - here).abs() < (here / 3).max(15));
         let (before, after) = (column.checked_sub(1).and_then(beside), beside(column + 1));
         // The slope in units of 2 cm per two columns.
         let slope = match (before, after) {

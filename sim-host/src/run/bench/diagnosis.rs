@@ -7,7 +7,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::view::Motion;
+use super::motion::Motion;
 
 /// Below this nothing has moved, in metres and radians.
 const STILL: Motion = Motion { ahead: 0.02, turn: 0.09 };
@@ -15,10 +15,9 @@ const STILL: Motion = Motion { ahead: 0.02, turn: 0.09 };
 const TURNED: f64 = 0.3;
 /// Minimum part of the way asked for that counts as driven.
 const LEAST_WAY: f64 = 0.5;
-/// Ratio of two ways from which on the counts are wrong.
-const WRONG_TICKS: f64 = 0.02;
-/// Minimum way for that, in metres.
-const LONG: f64 = 0.15;
+/// Part of the way, and way in metres, by which good wheels may be wrong: they slip, and start and stop.
+const SLIP: f64 = 0.015;
+const JERK: f64 = 0.005;
 
 /// What a robot has done, roughly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -70,8 +69,8 @@ pub(super) struct Try {
     pub(super) early: Option<Motion>,
     /// By the sensor, or a person.
     pub(super) seen: Option<Seen>,
-    /// How far it really went, in metres.
-    pub(super) way_m: Option<f64>,
+    /// How far it really went, and by how much that may be wrong, in metres.
+    pub(super) way_m: Option<[f64; 2]>,
 }
 
 /// What is wrong.
@@ -84,6 +83,8 @@ pub enum Finding {
     Still,
     /// The robot has moved, but no counts have come.
     NoCounts,
+    /// The wheels turn, and the robot stands.
+    Spinning,
     /// A wheel turns backwards: its motor's wires are swapped.
     Motor {
         /// Whether it is the left one.
@@ -117,6 +118,8 @@ pub enum Finding {
     Ticks {
         /// The way that the wheels have counted, divided by the true one.
         ratio: f64,
+        /// By how much that may be wrong.
+        error: f64,
     },
     /// The motion is none of these.
     Unclear,
@@ -147,10 +150,13 @@ pub(super) fn ahead(asked_m: f64, Try { counted, early, seen, way_m }: Try) -> F
             Some(Seen::Ahead) => Finding::BothEncoders,
             Some(_) => Finding::Unclear,
         },
+        Seen::Ahead if seen == Some(Seen::Nothing) => Finding::Spinning,
         Seen::Ahead => match way_m {
             _ if counted.ahead < LEAST_WAY * asked_m => Finding::Unclear,
-            Some(way) if way > LONG && (counted.ahead / way - 1.0).abs() > WRONG_TICKS => {
-                Finding::Ticks { ratio: counted.ahead / way }
+            Some([way, error])
+                if way > 0.0 && (counted.ahead - way).abs() > error + JERK + SLIP * way =>
+            {
+                Finding::Ticks { ratio: counted.ahead / way, error: (error + JERK) / way + SLIP }
             }
             _ => Finding::Good,
         },
@@ -183,6 +189,9 @@ impl fmt::Display for Finding {
             ),
             Self::NoCounts => f.write_str(
                 "the robot moves, but its wheels count nothing: check the encoders' supply and lines",
+            ),
+            Self::Spinning => f.write_str(
+                "the wheels count, but the robot stands: do they touch the floor, and are they tight on their axles?",
             ),
             Self::Motor { left } => write!(
                 f,
@@ -224,11 +233,13 @@ impl fmt::Display for Finding {
                 "both motors and encoders are swapped: the robot turns to the wrong side and counts the right one. Swap the \
                  connectors of both",
             ),
-            Self::Ticks { ratio } => write!(
+            Self::Ticks { ratio, error } => write!(
                 f,
-                "the wheels count {:.1} % too {}: multiply the way per count (count_nm of the robot's WheelBase) by {:.3}",
+                "the wheels count {:.1} % too {}, give or take {:.1} %: measure a longer way (--way 1), then multiply the way per \
+                 count (count_nm of the robot's WheelBase) by {:.3}",
                 (ratio - 1.0).abs() * 100.0,
                 if ratio > 1.0 { "much" } else { "little" },
+                error * 100.0,
                 1.0 / ratio
             ),
             Self::Unclear => f.write_str(
@@ -263,6 +274,7 @@ mod tests {
             ((0.0, 0.0), Some(Nothing), Finding::Still),
             ((0.01, 0.0), Some(Ahead), Finding::NoCounts),
             ((0.1, 0.0), None, Finding::Unclear),
+            ((0.3, 0.0), Some(Nothing), Finding::Spinning),
         ] {
             assert_eq!(
                 ahead(0.3, tried(counted.0, counted.1, seen)),
@@ -294,13 +306,18 @@ mod tests {
 
     #[test]
     fn counts_are_compared_with_a_measured_way() {
-        let way = |way_m| ahead(0.3, Try { way_m: Some(way_m), ..tried(0.309, 0.0, None) });
-        let Finding::Ticks { ratio } = way(0.3) else { panic!("{:?}", way(0.3)) };
-        assert!((ratio - 1.03).abs() < 1e-9);
-        assert!(way(0.3).to_string().contains("3.0 % too much"), "{}", way(0.3));
-        assert!(way(0.3).to_string().contains("by 0.971"), "{}", way(0.3));
-        assert_eq!(way(0.306), Finding::Good);
-        // Too short a way tells nothing.
-        assert_eq!(way(0.1), Finding::Good);
+        let way = |metres, error| {
+            ahead(1.0, Try { way_m: Some([metres, error]), ..tried(1.03, 0.0, None) })
+        };
+        let Finding::Ticks { ratio, error } = way(1.0, 0.005) else {
+            panic!("{:?}", way(1.0, 0.005))
+        };
+        assert!((ratio - 1.03).abs() < 1e-9 && (error - 0.025).abs() < 1e-9);
+        let text = way(1.0, 0.005).to_string();
+        assert!(text.contains("3.0 % too much, give or take 2.5 %"), "{text}");
+        assert!(text.contains("by 0.971"), "{text}");
+        // It may be the sensor, or the wheels' usual slip.
+        assert_eq!(way(1.0, 0.02), Finding::Good);
+        assert_eq!(way(1.02, 0.005), Finding::Good);
     }
 }

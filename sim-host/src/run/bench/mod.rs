@@ -4,15 +4,18 @@
 //! |---|---|
 //! | [`options`] | where the robot is |
 //! | [`overheard`] | what a robot tells to whoever listens, before any session |
-//! | [`session`] | a session with the robot, as that of a server |
+//! | `opening`, [`session`] | a session with the robot, as that of a server |
 //! | `screen`, `picture` | text that is drawn again at its place; a view in characters |
-//! | `view`, `tilt` | what a robot sees, and how it has moved between two views; whether its sensor looks down |
+//! | `view`, `motion`, `tilt` | what a robot sees; how it has moved between two views; whether its sensor looks down |
 //! | [`quantity`] | parameters in their units |
-//! | `diagnosis` | what is wrong with wheels |
+//! | `diagnosis`, [`findings`] | what is wrong with wheels |
 //! | [`ports`], [`monitor`], [`param`], [`sensor`], [`wheels`] | the commands |
 
 mod diagnosis;
+pub mod findings;
 pub mod monitor;
+mod motion;
+mod opening;
 pub mod options;
 pub mod overheard;
 pub mod param;

@@ -11,7 +11,7 @@ use ubimap_protocol::{
     units::{Pose, RobotId},
 };
 
-use super::{options::PortOptions, ports::about_number, screen::Screen, session::Bench};
+use super::{options::PortOptions, screen::Screen, session::Bench};
 use crate::{
     report::LinkSummary,
     run::{
@@ -19,7 +19,7 @@ use crate::{
         options::{pose, seconds},
         serve::CAPTURE_INTERVAL,
     },
-    server::Event,
+    server::{Event, about_number},
 };
 
 /// Interval between two lines about the link, and between two pictures.

@@ -132,8 +132,8 @@ mod tests {
         let bytes = [
             vec![0x55; 300],
             vec![0],
-            frame(0, FrameKind::Handshake, &[hello.clone()]),
-            frame(5, FrameKind::Datagram, &[request.clone()]),
+            frame(0, FrameKind::Handshake, std::slice::from_ref(&hello)),
+            frame(5, FrameKind::Datagram, std::slice::from_ref(&request)),
             // A Hello with a wrong seal, a frame without messages, and messages that are none.
             frame(6, FrameKind::Handshake, &[hello]),
             frame(5, FrameKind::Reliable, &[]),

@@ -5,17 +5,18 @@ use super::view::View;
 /// Size of a picture in characters. A character is about twice as high as it is wide.
 const WIDTH: usize = 65;
 const HEIGHT: usize = 26;
-/// The nearest and the farthest border of a picture, in metres.
-const BORDERS: [f64; 2] = [0.5, 5.2];
+/// The least and the greatest distance from the robot to a picture's border, in metres.
+const LEAST: f64 = 0.5;
+const MOST: f64 = 5.4;
 
 /// Draws a view: `#` what is seen, `.` what is free before it, `^` the robot.
 pub(super) fn draw(view: &View) -> String {
     let is_around = view.from_to.iter().any(|bearing| bearing.abs() > 2.0);
-    let farthest = view.seen.iter().map(|(_, distance)| *distance).fold(0.0, f64::max);
-    let reach = (farthest * 1.05).clamp(BORDERS[0], BORDERS[1]);
+    let farthest = |axis: usize| view.points().map(|point| point[axis].abs()).fold(0.0, f64::max);
+    let [ahead, aside] = [farthest(0), farthest(1)].map(|it| (1.05 * it).clamp(LEAST, MOST));
     // The row of the robot, and metres per row; a column is half as wide.
     let base = if is_around { HEIGHT / 2 } else { HEIGHT - 1 };
-    let per_row = (reach / base as f64).max(reach / (WIDTH as f64 / 4.0));
+    let per_row = (ahead / base as f64).max(aside / (WIDTH as f64 / 4.0));
     let place = |x: f64, y: f64| {
         let row = base as f64 - x / per_row;
         let column = (WIDTH / 2) as f64 - 2.0 * y / per_row;

@@ -21,6 +21,7 @@ use crate::{
     },
     conformance::{Frame, Note},
     run::{RunError, interruption},
+    server::about_number,
 };
 
 /// How long to listen: a robot without a session says hello every 3.2 s, and sooner after its start.
@@ -193,16 +194,6 @@ fn greeting(hello: &Hello) -> Heard {
 fn reset() -> Vec<u8> {
     let note = Note::new::<ToRobot, _>(&Reset);
     Frame::new(SessionId::NONE, Direction::ToRobot, (FrameKind::Handshake, 0), &[note]).wire()
-}
-
-/// What to do about a robot's number; empty if nothing.
-pub(in crate::run) fn about_number(robot: RobotId) -> &'static str {
-    match robot.0 {
-        0 => {
-            " (number 0: its image was not provisioned, so it moves nothing; give it a number with ubimap provision)"
-        }
-        _ => "",
-    }
 }
 
 impl fmt::Display for Heard {

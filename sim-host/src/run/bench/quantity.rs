@@ -10,8 +10,8 @@ enum Quantity {
     Number(&'static str),
     /// An angle: degrees for people, binary angle units on the wire.
     Angle,
-    /// Two numbers of 16 bits, with this unit and the value that stands for none.
-    Pair(&'static str, i32),
+    /// Two numbers of 16 bits, with this unit and the value that stands for none, if there is one.
+    Pair(&'static str, Option<i32>),
     /// Two bearings, counter-clockwise from the first to the second.
     Bearings,
 }
@@ -27,10 +27,10 @@ fn quantity(parameter: Parameter) -> Quantity {
         Parameter::MountingHeading | Parameter::GateTurn => Quantity::Angle,
         Parameter::Hold | Parameter::ScanDeadline => Quantity::Number("ms"),
         Parameter::FirstEpoch => Quantity::Number(""),
-        Parameter::RemovedPixels => Quantity::Pair("", NO_READINGS),
+        Parameter::RemovedPixels => Quantity::Pair("", Some(NO_READINGS)),
         Parameter::RemovedBearings => Quantity::Bearings,
-        Parameter::RemovedDistances => Quantity::Pair("mm", 0),
-        Parameter::Exposure => Quantity::Pair("", i32::MIN),
+        Parameter::RemovedDistances => Quantity::Pair("mm", Some(0)),
+        Parameter::Exposure => Quantity::Pair("", None),
     }
 }
 
@@ -68,7 +68,7 @@ pub fn range(parameter: Parameter) -> String {
     match quantity(parameter) {
         Quantity::Number(_) => format!("{least} to {most}"),
         Quantity::Angle => format!("{:.0} to {:.0}", degrees(least), degrees(most)),
-        Quantity::Pair(_, i32::MIN) => "A..B, each 0 to 65535".into(),
+        Quantity::Pair(_, None) => "A..B, each 0 to 65535".into(),
         Quantity::Pair(..) => "A..B, each 0 to 65535, or none".into(),
         Quantity::Bearings => "A..B, each -360 to 360, or none".into(),
     }
@@ -81,7 +81,7 @@ pub fn shown(parameter: Parameter, value: i32) -> String {
         Quantity::Number(_) => value.to_string(),
         Quantity::Angle if parameter == Parameter::MountingHeading => signed(Angle(value as u16)),
         Quantity::Angle => format!("{:.2}", degrees(value)),
-        Quantity::Pair(_, none) if value == none => "none".into(),
+        Quantity::Pair(_, none) if none == Some(value) => "none".into(),
         Quantity::Pair(..) => format!("{upper}..{lower}"),
         Quantity::Bearings if value == NO_READINGS => "none".into(),
         Quantity::Bearings => format!("{}..{}", signed(Angle(upper)), signed(Angle(lower))),
@@ -112,7 +112,7 @@ pub fn parsed(parameter: Parameter, text: &str) -> Result<i32, String> {
             // Conversions of floats saturate; what is not a number is not within.
             units.filter(|it| it.is_finite()).and_then(|units| within(units.round() as i32))
         }
-        Quantity::Pair(_, none) if text == "none" && none != i32::MIN => Some(none),
+        Quantity::Pair(_, none @ Some(_)) if text == "none" => none,
         Quantity::Pair(..) => halves().and_then(|(from, to)| {
             Some(joined((from.trim().parse().ok()?, to.trim().parse().ok()?)))
         }),

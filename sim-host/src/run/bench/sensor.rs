@@ -28,11 +28,6 @@ const NO_VIEW: Duration = Duration::from_secs(6);
 const LONG_BLIND: Duration = Duration::from_secs(12);
 
 /// Options of `ubimap sensor`.
-///
-/// The robot sends up to one view per second: the free distance in each of up to 64 columns, from the middle
-/// between its wheels. The rows of a depth image do not travel, so a tilted sensor shows by its consequence: one
-/// that looks down sees the floor as a straight line across that stays when the robot turns. One that looks up
-/// sees over low things, which no figure here tells.
 #[derive(Args, Clone, Debug)]
 pub struct SensorOptions {
     /// The robot's port.
@@ -96,8 +91,8 @@ pub fn run(options: &SensorOptions) -> Result<(), RunError> {
     let gate = bench.replace(Parameter::GateDistance as u16, 0)?;
     let shown = show(&mut bench, options, f64::from(mounting) / 1_000.0);
     if let Some(gate) = gate {
-        // Also after Ctrl-C; the robot may be gone.
-        let _ = bench.replace(Parameter::GateDistance as u16, gate);
+        let set = bench.set(Parameter::GateDistance as u16, gate);
+        bench.bid_farewell(set);
     }
     shown
 }

@@ -4,7 +4,6 @@ use std::{collections::VecDeque, time};
 
 use ubimap_protocol::{
     frame::{Key, MAX_FRAME},
-    link::Terms,
     message::{
         Hello, ParameterAction, ParameterCommand, ParameterOutcome, ParameterReport,
         ParameterValue, RefusalReason, State,
@@ -15,21 +14,16 @@ use ubimap_protocol::{
 };
 
 use super::{
+    opening::{server, wire},
     options::PortOptions,
     overheard::{Ear, Overheard},
 };
 use crate::{
     camera::{Observation, Sighting},
-    channel::{
-        address::Address,
-        serial::SerialPort,
-        tcp::{self, TcpListener},
-        udp::UdpSocket,
-        wire::{Wire, WireError},
-    },
+    channel::wire::{Wire, WireError},
     report::LinkSummary,
     run::{RunError, interruption, keys},
-    server::{Command, Event, Policy, Server},
+    server::{Command, Event, Server},
 };
 
 /// How long a robot may take to come: a refused one tries again after 10 s.
@@ -40,6 +34,8 @@ const ANSWER: Duration = Duration::from_secs(5);
 const LONGEST_WAIT: Duration = Duration::from_millis(20);
 /// Cells of a robot that has not said how large its are.
 const USUAL_RESOLUTION: Millimetres = Millimetres(50);
+/// How long the last commands may take.
+const FAREWELL: Duration = Duration::from_millis(600);
 /// Interval of the poses told to a standing robot, and half of their difference: less than their deviation.
 const LOOK_INTERVAL: Duration = Duration::from_millis(500);
 const LOOK_SHIFT: Millimetres = Millimetres(12);
@@ -69,6 +65,8 @@ pub struct Bench {
     /// When a standing robot is told its pose next, and on which side of it.
     next_look: Instant,
     looks_ahead: bool,
+    /// Whether commands must be sent when the session is left.
+    has_farewell: bool,
 }
 
 impl Bench {
@@ -100,6 +98,7 @@ impl Bench {
             commands: 0,
             next_look: Instant(0),
             looks_ahead: false,
+            has_farewell: false,
         })
     }
 
@@ -376,6 +375,18 @@ impl Bench {
         })
     }
 
+    /// Sends a command when the session is left, whatever has ended it. The robot may be gone.
+    pub fn bid_farewell(&mut self, command: Command) {
+        self.has_farewell |= self.command(command).is_ok();
+    }
+
+    /// The command that sets a parameter, for [`Bench::bid_farewell`].
+    pub fn set(&mut self, parameter: u16, value: i32) -> Command {
+        self.commands += 1;
+        let action = ParameterAction::Set(ParameterValue { parameter, value });
+        Command::Parameter(ParameterCommand { number: self.commands, action })
+    }
+
     /// Sets a parameter. Returns its value before; `None` if the robot does not have it.
     ///
     /// # Errors
@@ -389,45 +400,10 @@ impl Bench {
     }
 }
 
-/// Opens the wire.
-fn wire(options: &PortOptions) -> Result<Wire, RunError> {
-    match &options.port {
-        Address::Serial(path) => Ok(SerialPort::open(path, options.baud)?.into_wire()),
-        Address::Udp(address) => Ok(UdpSocket::bind(*address)?.into_wire()),
-        Address::Tcp(address) => {
-            let listener = TcpListener::bind(*address)?;
-            let began = time::Instant::now();
-            let patience = time::Duration::from_micros(PATIENCE.micros());
-            while began.elapsed() < patience && !interruption::is_requested() {
-                if let Some((stream, from)) =
-                    listener.accept_within(time::Duration::from_millis(100))?
-                {
-                    return Ok(tcp::wire(stream, format!("{} from {from}", options.port))?);
-                }
-            }
-            let reason = "no robot has connected".into();
-            Err(RunError::Bench { port: options.port.to_string(), reason })
-        }
+impl Drop for Bench {
+    /// Sends what waits; a signal does not keep the robot from being stopped.
+    fn drop(&mut self) {
+        let end = self.now() + FAREWELL;
+        while self.has_farewell && self.now() < end && self.turn().is_ok() {}
     }
-}
-
-/// A server with one port, and the port's number.
-fn server(
-    resolution: Millimetres,
-    keys: &[(RobotId, Key)],
-    is_keyed: bool,
-) -> Result<(Server, usize), RunError> {
-    let random = || getrandom::u32().map_err(RunError::Randomness);
-    let frame = MAX_FRAME as u16;
-    let terms = Terms { resolution, frame, server_epoch: random()?.max(1), stores: false };
-    let mut server = Server::new(terms, 0);
-    server.number_sessions_from(random()?);
-    server.salt_from(u64::from(random()?) << 32 | u64::from(random()?));
-    // Nothing here moves the robot but what the user has asked for.
-    server.leave_errors();
-    for &(robot, key) in keys {
-        server.set_key(robot, key);
-    }
-    let port = server.open_port(if is_keyed { Policy::Keyed } else { Policy::Open });
-    Ok((server, port))
 }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use ubimap_protocol::units::Pose;
 
-use super::view::{Motion, View};
+use super::{motion::Motion, view::View};
 
 /// A line across is the same if its distance differs by less than this, in metres.
 const SAME: f64 = 0.04;

@@ -1,12 +1,8 @@
 //! `ubimap wheels`: turns a robot's wheels a little, and tells what is wrong with them.
 
-use std::{
-    fmt,
-    io::{self, BufRead, IsTerminal, Write},
-};
+use std::io::{self, BufRead, IsTerminal, Write};
 
 use clap::{Args, ValueEnum};
-use serde::Serialize;
 use ubimap_agent::Parameter;
 use ubimap_protocol::{
     message::{EventCode, ParameterAction, Path, Stop, Waypoint},
@@ -16,11 +12,13 @@ use ubimap_protocol::{
 
 use super::{
     diagnosis::{self, Finding, Seen, Try},
+    findings::{TryReport, WheelsReport},
+    motion::{Motion, Sensed, sensed},
     options::PortOptions,
     sensor::height,
     session::Bench,
     tilt::{Tilt, Verdict},
-    view::{Motion, View, motion},
+    view::{View, signed},
 };
 use crate::{
     run::{
@@ -42,14 +40,10 @@ const TURN: Duration = Duration::from_secs(4);
 const REPORT: Duration = Duration::from_secs(5);
 /// How long to wait for a view; the sensor may not work.
 const VIEW: Duration = Duration::from_secs(4);
-/// Beyond what a view can be compared: metres, and radians.
-const COMPARED: Motion = Motion { ahead: 0.9, turn: 2.2 };
+/// By how much a way is wrong that a person has measured, in metres.
+const RULER: f64 = 0.005;
 
 /// Options of `ubimap wheels`.
-///
-/// Put the robot on the floor with half a metre free around it and more ahead, best with a wall or furniture in its
-/// view. It drives ahead by --way, and then turns to the left; it keeps its own rules, so it stops for obstacles,
-/// bumpers and Ctrl-C. Its own sensor tells, if it can, how it has really moved; so does a person (--ask).
 #[derive(Args, Clone, Debug)]
 pub struct WheelsOptions {
     /// The robot's port.
@@ -112,48 +106,6 @@ fn way(text: &str) -> Result<f64, OptionError> {
     number(text, 0.1, 1.0, "m")
 }
 
-/// What was found.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct WheelsReport {
-    /// Always "ubimap-wheels".
-    pub schema: &'static str,
-    /// Version of the schema.
-    pub version: u32,
-    /// The robot.
-    pub robot: u16,
-    /// Each try, in order; the second one only if the first one was good.
-    pub tries: Vec<TryReport>,
-    /// What a line across the view was, and by how much the sensor looks down, if that could be told.
-    pub view: Verdict,
-    /// In degrees.
-    pub looks_down_deg: Option<f64>,
-    /// The same for people; empty if there is nothing to say.
-    #[serde(skip)]
-    pub about_view: String,
-}
-
-/// A try.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct TryReport {
-    /// What the robot was told to do.
-    pub told: &'static str,
-    /// By its wheels: metres ahead, and degrees to the left.
-    pub counted_m: f64,
-    /// The turn.
-    pub counted_deg: f64,
-    /// By its sensor.
-    pub sensed_m: Option<f64>,
-    /// The turn.
-    pub sensed_deg: Option<f64>,
-    /// What was seen, by the sensor or a person.
-    pub seen: Option<Seen>,
-    /// What the robot reported meanwhile.
-    pub events: Vec<String>,
-    /// What is wrong.
-    #[serde(flatten)]
-    pub finding: Finding,
-}
-
 /// Tries the wheels.
 ///
 /// # Errors
@@ -178,12 +130,11 @@ pub fn run(options: &WheelsOptions) -> Result<WheelsReport, RunError> {
     };
     let tried = trial.both();
     let Trial { mut bench, tries, tilt, .. } = trial;
-    // Also after Ctrl-C; the robot may be gone.
-    let _ = bench.command(Command::Stop(Stop { number: u32::MAX, stop: true }));
+    bench.bid_farewell(Command::Stop(Stop { number: u32::MAX, stop: true }));
     if let Some(gate) = gate {
-        let _ = bench.replace(Parameter::GateDistance as u16, gate);
+        let set = bench.set(Parameter::GateDistance as u16, gate);
+        bench.bid_farewell(set);
     }
-    let _ = bench.turn_until(Duration::from_millis(300), |_| false);
     tried?;
     Ok(WheelsReport {
         schema: "ubimap-wheels",
@@ -323,16 +274,15 @@ impl Trial<'_> {
         let counted = Motion { turn: turned(from, &heard.odometry), ..Motion::between(from, to) };
         self.at = moved(self.at, from, to);
         let after = self.look()?;
-        let sensed =
-            before.zip(after).and_then(|(before, after)| motion(&before, &after, COMPARED));
+        let sensed = before.zip(after).and_then(|views| compared(&views, counted));
         let early = heard.odometry.iter().map(|pose| Motion::between(from, *pose));
         let early = early.into_iter().find(|it| Seen::of(*it) != Seen::Nothing);
         let person = if is_turn { self.options.saw_turn } else { self.options.saw_ahead };
         let mut tried = Try {
             counted,
             early,
-            seen: person.map(Seen::from).or(sensed.map(Seen::of)),
-            way_m: sensed.map(|it| it.ahead),
+            seen: person.map(Seen::from).or(sensed.map(|it| Seen::of(it.motion))),
+            way_m: sensed.map(|it| [it.motion.ahead, it.error_m]),
         };
         if self.options.ask || (io::stdin().is_terminal() && !self.options.json) {
             ask(told, &mut tried)?;
@@ -345,8 +295,9 @@ impl Trial<'_> {
             told,
             counted_m: counted.ahead,
             counted_deg: counted.turn.to_degrees(),
-            sensed_m: sensed.map(|it| it.ahead),
-            sensed_deg: sensed.map(|it| it.turn.to_degrees()),
+            sensed_m: sensed.map(|it| it.motion.ahead),
+            sensed_error_m: sensed.map(|it| it.error_m),
+            sensed_deg: sensed.map(|it| it.motion.turn.to_degrees()),
             seen: tried.seen,
             events: heard.events,
             finding,
@@ -386,13 +337,21 @@ impl Told {
     }
 }
 
+/// What the sensor tells of a motion. A line across the view that stays while the wheels turn may be the floor,
+/// which tells nothing.
+fn compared((before, after): &(View, View), counted: Motion) -> Option<Sensed> {
+    let stands = |motion| Seen::of(motion) == Seen::Nothing;
+    let has_line = before.flat_m().or(after.flat_m()).is_some();
+    sensed(before, after, counted).filter(|it| !(has_line && stands(it.motion) && !stands(counted)))
+}
+
 /// The turn from a pose through others, which may exceed half a turn.
 fn turned(from: Pose, through: &[Pose]) -> f64 {
     let mut last = from.heading;
     through.iter().fold(0.0, |sum, pose| {
         let step: Angle = pose.heading - last;
         last = pose.heading;
-        sum + super::view::signed(step)
+        sum + signed(step)
     })
 }
 
@@ -428,37 +387,8 @@ fn ask(told: &str, tried: &mut Try) -> Result<(), RunError> {
     if drives && told.contains("ahead") {
         let measured = answer("How far did it go, in metres? (Enter: not measured)")?;
         if let Ok(metres) = number(&measured, 0.0, 2.0, "m") {
-            tried.way_m = Some(metres);
+            tried.way_m = Some([metres, RULER]);
         }
     }
     Ok(())
-}
-
-impl WheelsReport {
-    /// Whether nothing is wrong.
-    pub fn is_good(&self) -> bool {
-        self.tries.iter().all(|it| it.finding == Finding::Good) && self.view != Verdict::Floor
-    }
-}
-
-impl fmt::Display for WheelsReport {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for it in &self.tries {
-            let TryReport { told, counted_m, counted_deg, finding, .. } = it;
-            write!(f, "told to {told}: by its wheels {counted_m:.3} m, {counted_deg:.0} degrees")?;
-            match (it.sensed_m, it.sensed_deg) {
-                (Some(m), Some(deg)) => write!(f, "; by its sensor {m:.3} m, {deg:.0} degrees")?,
-                _ => f.write_str("; its sensor does not tell")?,
-            }
-            if let Some(seen) = it.seen {
-                write!(f, "; it {seen}")?;
-            }
-            writeln!(f)?;
-            for event in &it.events {
-                writeln!(f, "  the robot: {event}")?;
-            }
-            writeln!(f, "  {finding}")?;
-        }
-        f.write_str(&self.about_view)
-    }
 }

@@ -178,7 +178,7 @@ impl Ground {
         self.cells[at] == Cell::Unknown
     }
 
-    /// Whether a robot's centre may be there, as far as walls allow it.
+    /// Whether a robot's own planner lets its centre be there, as far as walls allow it.
     pub(super) fn is_trusted(&self, at: usize) -> bool {
         self.trusted[at]
     }

@@ -58,7 +58,9 @@ impl<'a> Terrain<'a> {
         };
         let (least, roomy) = (squared(room_m), squared(room_m + settings.clearances.spare_m));
         let weight = |at| match (ground.to_wall(at), ground.to_movable(at)) {
-            (wall, _) if wall < least || !ground.is_trusted(at) => SHUT,
+            (wall, _) if wall < least => SHUT,
+            // A robot that has drawn the cell itself, which the server has forgotten, may cross it.
+            _ if !ground.is_trusted(at) => costs.unknown.min(MAX_WEIGHT),
             (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
             (wall, movable) if wall.min(movable) < roomy => costs.tight.min(MAX_WEIGHT),
             _ => ROOMY,

@@ -239,6 +239,8 @@ pub struct CrossingCosts {
     pub tight: u8,
     /// Cost of ground last seen occupied by something movable.
     pub movable: u8,
+    /// Cost of unknown ground at the edge of known ground, on which a robot's own planner does not drive.
+    pub unknown: u8,
     /// Cost where a robot or a person stands: worth a detour of up to 6 m.
     pub standing: u8,
     /// Cost where a robot reported that it could not pass: worth a detour of about 20 m.
@@ -256,6 +258,7 @@ impl Default for CrossingCosts {
         Self {
             tight: 3,
             movable: 12,
+            unknown: 40,
             standing: 12,
             held_up: 40,
             held_up_m: 0.4,
@@ -271,8 +274,7 @@ pub struct SurveyRules {
     /// Maximum distance of surveyed tiles from the median of the robots' positions: 40 tiles are 64
     /// m with 5 cm cells. Bounds the memory that a stray tile can cost.
     pub reach_tiles: i32,
-    /// Unknown cells at most this number of cells from free ones are no walls: robots pass beside them, but
-    /// not through them. Otherwise every narrow passage would be closed until all cells around it are known.
+    /// Unknown cells at most this number of cells from free ones are no walls. Otherwise every narrow passage would be closed until all cells around it are known.
     /// Only small things can be hidden there, and a robot stops before obstacles that it sees.
     pub edge_cells: u32,
 }

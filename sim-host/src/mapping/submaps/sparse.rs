@@ -1,0 +1,139 @@
+//! Symmetric positive definite systems of 3 x 3 blocks, solved by elimination in the order of least
+//! degree, which keeps a graph with few loops sparse.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::{Matrix3, Vector3};
+
+/// The matrix and the right side of a system.
+#[derive(Clone, Debug)]
+pub(super) struct System {
+    /// For each row its blocks beside the diagonal, by column; both halves are stored.
+    rows: Vec<BTreeMap<usize, Matrix3<f64>>>,
+    diagonal: Vec<Matrix3<f64>>,
+}
+
+/// The blocks of a row beside the diagonal, by column.
+type Row = Vec<(usize, Matrix3<f64>)>;
+
+/// A factored system.
+#[derive(Clone, Debug)]
+pub(super) struct Factored {
+    /// In order of elimination: the row, the inverse of its diagonal block, and its other blocks.
+    steps: Vec<(usize, Matrix3<f64>, Row)>,
+}
+
+impl System {
+    /// A system of zeros.
+    pub(super) fn new(size: usize) -> Self {
+        Self { rows: vec![BTreeMap::new(); size], diagonal: vec![Matrix3::zeros(); size] }
+    }
+
+    /// Adds a block, and its transpose at the mirrored place.
+    pub(super) fn add(&mut self, row: usize, column: usize, block: &Matrix3<f64>) {
+        if row == column {
+            self.diagonal[row] += block;
+        } else {
+            *self.rows[row].entry(column).or_insert_with(Matrix3::zeros) += block;
+            *self.rows[column].entry(row).or_insert_with(Matrix3::zeros) += block.transpose();
+        }
+    }
+
+    /// Factors the matrix. `None` if it is singular.
+    pub(super) fn factored(mut self) -> Option<Factored> {
+        let size = self.diagonal.len();
+        let mut left: BTreeSet<(usize, usize)> =
+            (0..size).map(|row| (self.rows[row].len(), row)).collect();
+        let mut steps = Vec::with_capacity(size);
+        while let Some((_, pivot)) = left.pop_first() {
+            let inverse = self.diagonal[pivot].try_inverse()?;
+            let others: Row = core::mem::take(&mut self.rows[pivot]).into_iter().collect();
+            for (row, _) in &others {
+                left.remove(&(self.rows[*row].len(), *row));
+                self.rows[*row].remove(&pivot);
+            }
+            for (index, (row, block)) in others.iter().enumerate() {
+                let scaled = block.transpose() * inverse;
+                self.diagonal[*row] -= scaled * block;
+                for (column, other) in &others[index + 1..] {
+                    let fill = -(scaled * other);
+                    *self.rows[*row].entry(*column).or_insert_with(Matrix3::zeros) += fill;
+                    *self.rows[*column].entry(*row).or_insert_with(Matrix3::zeros) +=
+                        fill.transpose();
+                }
+            }
+            left.extend(others.iter().map(|(row, _)| (self.rows[*row].len(), *row)));
+            steps.push((pivot, inverse, others));
+        }
+        Some(Factored { steps })
+    }
+}
+
+impl Factored {
+    /// The solution for a right side.
+    pub(super) fn solve(&self, mut right: Vec<Vector3<f64>>) -> Vec<Vector3<f64>> {
+        for (pivot, inverse, others) in &self.steps {
+            let scaled = inverse * right[*pivot];
+            for (row, block) in others {
+                right[*row] -= block.transpose() * scaled;
+            }
+        }
+        for (pivot, inverse, others) in self.steps.iter().rev() {
+            let mut rest = right[*pivot];
+            for (column, block) in others {
+                rest -= block * right[*column];
+            }
+            right[*pivot] = inverse * rest;
+        }
+        right
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, DVector};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        /// Against a dense solution.
+        #[test]
+        fn systems_are_solved(
+            size in 1usize..9,
+            edges in proptest::collection::vec((0usize..9, 0usize..9, any::<[i8; 9]>()), 0..20),
+            right in proptest::collection::vec(any::<[i8; 3]>(), 9),
+        ) {
+            let mut system = System::new(size);
+            let mut dense = DMatrix::<f64>::identity(3 * size, 3 * size);
+            (0..size).for_each(|row| system.add(row, row, &Matrix3::identity()));
+            for (a, b, numbers) in edges {
+                let (a, b) = (a % size, b % size);
+                if a == b {
+                    continue;
+                }
+                // The square of a difference is positive semidefinite.
+                let by = Matrix3::from_iterator(numbers.map(|it| f64::from(it) / 40.0));
+                system.add(a, a, &(by.transpose() * by));
+                system.add(b, b, &Matrix3::identity());
+                system.add(a, b, &by.transpose());
+                let mut view = dense.view_mut((3 * a, 3 * a), (3, 3));
+                view += by.transpose() * by;
+                let mut view = dense.view_mut((3 * b, 3 * b), (3, 3));
+                view += Matrix3::identity();
+                let mut view = dense.view_mut((3 * a, 3 * b), (3, 3));
+                view += by.transpose();
+                let mut view = dense.view_mut((3 * b, 3 * a), (3, 3));
+                view += by;
+            }
+            let right: Vec<Vector3<f64>> =
+                right[..size].iter().map(|it| Vector3::from(it.map(f64::from))).collect();
+            let flat = DVector::from_iterator(3 * size, right.iter().flat_map(|it| it.iter().copied()));
+            let expected = dense.lu().solve(&flat).unwrap();
+            let found = system.factored().unwrap().solve(right);
+            for (row, value) in found.iter().flat_map(|it| it.iter()).enumerate() {
+                prop_assert!((value - expected[row]).abs() < 1e-6 * (1.0 + expected.amax()));
+            }
+        }
+    }
+}
