@@ -25,10 +25,11 @@ pub(super) fn from_elf(elf: &[u8]) -> Result<Vec<u8>, ImageFault> {
     let mut pages = Pages::new();
     for (address, range) in segments.into_iter().filter(|(_, range)| !range.is_empty()) {
         let first = u32::try_from(address).map_err(|_| ImageFault::NoUf2)?;
+        let len = u32::try_from(range.len()).map_err(|_| ImageFault::NoUf2)?;
+        if first < FLASH || first.checked_add(len).is_none_or(|end| end > FLASH_END) {
+            return Err(ImageFault::NoUf2);
+        }
         for (address, &byte) in (first..).zip(&elf[range]) {
-            if !(FLASH..FLASH_END).contains(&address) {
-                return Err(ImageFault::NoUf2);
-            }
             let offset = address as usize % PAGE;
             pages.entry(address - offset as u32).or_insert_with(|| vec![0; PAGE])[offset] = byte;
         }
@@ -82,6 +83,48 @@ pub(super) fn file(pages: &Pages, family: u32) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    /// An ELF with one segment.
+    fn elf(address: u32, content: &[u8]) -> Vec<u8> {
+        let mut file = vec![0; 84];
+        file[..6].copy_from_slice(b"\x7FELF\x01\x01");
+        let len = content.len() as u32;
+        // The table with its entry's size and their number; the segment's type, place, address and length.
+        for (at, word) in [(28, 52), (42, 32), (44, 1), (52, 1), (56, 84), (64, address), (68, len)]
+        {
+            file[at..at + 4].copy_from_slice(&u32::to_le_bytes(word));
+        }
+        [&file, content].concat()
+    }
+
+    proptest! {
+        #[test]
+        fn segments_anywhere_become_a_file_or_an_error(
+            near in prop::sample::select(vec![0, FLASH, FLASH + 4_000, FLASH_END, u32::MAX - 700]),
+            offset in 0..700_u32,
+            content in prop::collection::vec(any::<u8>(), 0..700),
+        ) {
+            let (address, len) = (near + offset, content.len() as u32);
+            // A block that makes it an RP2350's image, where there is room for it.
+            let mut content = content;
+            if let Some(words) = content.first_chunk_mut() {
+                *words = u32::to_le_bytes(0xFFFF_DED3);
+            }
+            match from_elf(&elf(address, &content)) {
+                Ok(file) => {
+                    let first = address / PAGE as u32;
+                    let pages = (address + len - 1) / PAGE as u32 - first + 1;
+                    prop_assert_eq!(file.len(), pages as usize * UF2_BLOCK);
+                    let flash: Vec<u8> =
+                        file.chunks(UF2_BLOCK).flat_map(|block| &block[32..32 + PAGE]).copied().collect();
+                    let start = address as usize % PAGE;
+                    prop_assert_eq!(&flash[start..start + content.len()], &content[..]);
+                }
+                Err(fault) => prop_assert_eq!(fault, ImageFault::NoUf2),
+            }
+        }
+    }
 
     #[test]
     fn the_checksum_is_crc_32_mpeg_2() {
