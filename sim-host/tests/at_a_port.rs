@@ -233,7 +233,7 @@ fn a_robot_is_monitored_and_its_parameters_are_read_and_set() {
 
     // What it changes for a while is as before when a signal ends it.
     let sensor = Beside::start(&folder, &["sensor", &port, "--plain"]);
-    thread::sleep(Duration::from_secs(4));
+    thread::sleep(Duration::from_secs(6));
     assert_eq!(sensor.end("-INT").0, Some(0));
     let get = printed(&folder, &["param", &port, "get", "gate-distance"]);
     assert!(get.starts_with("gate-distance = 35 mm"), "{get}");
