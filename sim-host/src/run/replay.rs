@@ -33,9 +33,9 @@ use crate::{
 
 /// Time between the robots' boot and the first scan, in which they connect to the server.
 const BOOT: Duration = Duration::from_secs(5);
-/// Interval of the distance vectors of robots that have only odometry: the same as for robots out of
-/// the cameras' view.
-const VECTOR_INTERVAL: Duration = Duration::from_secs(1);
+/// Interval of the distance vectors of robots that have only odometry: nearly that of robots out of the
+/// cameras' view, but below a second, lest robots with slow clocks skip scans that are a second apart.
+const VECTOR_INTERVAL: Duration = Duration::from_millis(900);
 /// Frame interval of the ceiling cameras.
 const FRAME_INTERVAL: Duration = Duration::from_micros(66_667);
 
