@@ -27,8 +27,8 @@ pub fn largest_consistent(
         }
     }
     let mut best = known.to_vec();
-    for member in 0..count {
-        let fits = |&other: &usize| adjacent[member][other / 64] >> (other % 64) & 1 == 1;
+    for (member, near) in adjacent.iter().enumerate() {
+        let fits = |&other: &usize| near[other / 64] >> (other % 64) & 1 == 1;
         if best.iter().all(fits) {
             best.push(member);
         }
