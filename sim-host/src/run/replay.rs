@@ -3,7 +3,7 @@
 //! The log is cut into consecutive segments, one for each robot, which run at the same time. The poses
 //! of the log take the place of ceiling cameras: they give a fix for every scan, and at the cameras'
 //! frame rate in between. If the log has odometry alone, the robots draw from it, without
-//! correction; the map of the run is then drawn from the [graph](graph_map) of what they saw.
+//! correction; the map of the run is then drawn from the graph of what they saw.
 
 use std::{collections::VecDeque, time};
 

@@ -2,7 +2,7 @@
 //!
 //! It sends the frames of its cameras to the stream sockets of `ubimap serve`, and has the devices of each
 //! robot, an A010 or an LD06 and a Create 2, at pseudo-terminals for `ubimap robot`. A robot may be built wrongly
-//! ([`Fault`]). The folder that it fills holds
+//! (`Fault`). The folder that it fills holds
 //! the deployment, a configuration for each robot, and links to the pseudo-terminals. Nothing else passes
 //! between it and the server; the truth goes into its own report.
 
