@@ -137,7 +137,8 @@ impl Grain {
         let spread = ((span * side) << DIRECTION_BITS) / widest;
         let margin = side / 2;
         let first = u32::from(validity.nearest).max(margin + 1);
-        let more = u32::from(validity.farthest).checked_sub(first);
+        let farthest = validity.farthest.min(NOTHING_IN_RANGE - 1);
+        let more = u32::from(farthest).checked_sub(first);
         let touch = match validity {
             _ if validity.removes() => -1,
             Validity { flying: 0, .. } => i32::MAX,
@@ -258,19 +259,19 @@ impl Grain {
             let Some((&beam, &reading)) = beams.get(index).zip(readings.get(index)) else {
                 return last;
             };
-            let nothing_here = reading == NOTHING_IN_RANGE;
             let reading = u32::from(reading);
-            let is_beyond = || {
+            let is_like_it = if is_nothing {
+                reading == NOTHING_IN_RANGE.into()
+            } else {
                 reading.wrapping_sub(self.counting.0) <= self.counting.1
                     && (reading >= self.reach.beyond || !self.reach.has(beam, reading))
             };
-            if index < end && nothing_here == is_nothing && (is_nothing || is_beyond()) {
+            if index < end && is_like_it {
                 last = index;
             } else if stride > 1 {
                 stride = 1;
             } else {
                 let comes_in = index < end
-                    && !nothing_here
                     && reading + self.tolerance > farthest
                     && self.counts(readings, index, reading as u16);
                 return if comes_in { index } else { last };
@@ -311,9 +312,9 @@ pub(super) fn trace(
     let near = grain.near();
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
-        let is_nothing = reading == NOTHING_IN_RANGE;
-        let counts = if is_nothing { clear > 0 } else { grain.counts(readings, index, reading) };
-        if !counts || beam == Beam::NONE {
+        // What is no distance may say that there is nothing.
+        let is_nothing = !grain.counts(readings, index, reading);
+        if is_nothing && (reading != NOTHING_IN_RANGE || clear == 0) || beam == Beam::NONE {
             let gap = gap(readings, index);
             invalid += gap as u32;
             is_first_invalid |= index == 0;

@@ -128,7 +128,7 @@ impl Validity {
 
     /// Whether the reading at `index` is valid, by the same rules as [`Validity::clean`]; for rows
     /// that are not cleaned as a whole.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn counts_at(&self, readings: &[u16], index: usize, reading: u16) -> bool {
         if !self.counts(reading) {
             return false;
