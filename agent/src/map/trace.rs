@@ -69,6 +69,8 @@ pub(super) struct Grain {
     touch: i32,
     /// Which readings are valid.
     validity: Validity,
+    /// Distance up to which beams with nothing in range are free, in millimetres; 0 if they are left out.
+    clear: u16,
 }
 
 /// The mapped range, in millimetres.
@@ -153,7 +155,13 @@ impl Grain {
             counting: more.map_or((u32::MAX, 0), |more| (first, more)),
             touch,
             validity,
+            clear: 0,
         }
+    }
+
+    /// The same parameters for a scan in which beams with nothing in range are free up to `clear`.
+    pub(super) fn clear_to(&self, clear: u16) -> Self {
+        Self { clear: clear.min(self.reach.range), ..*self }
     }
 
     /// The same parameters for a scan that is mapped up to a shorter `range`; `None` if `range` is
@@ -242,7 +250,7 @@ impl Grain {
     }
 
     /// The last beam before `end` up to which every beam is out of range, starting from `from`,
-    /// which is, or has nothing in range if `is_nothing`; or the beam after it, if the surface enters the range within a cell there. Checks
+    /// which is; or the beam after it, if the surface enters the range within a cell there. Checks
     /// every `stride`th beam, then each beam after the last match.
     #[inline(never)]
     fn nothing_up_to(
@@ -250,7 +258,6 @@ impl Grain {
         (beams, readings): (&[Beam], &[u16]),
         (from, end, stride): (usize, usize, usize),
         farthest: u32,
-        is_nothing: bool,
     ) -> usize {
         let mut last = from;
         let mut stride = stride;
@@ -260,13 +267,10 @@ impl Grain {
                 return last;
             };
             let reading = u32::from(reading);
-            let is_like_it = if is_nothing {
-                reading == NOTHING_IN_RANGE.into()
-            } else {
-                reading.wrapping_sub(self.counting.0) <= self.counting.1
-                    && (reading >= self.reach.beyond || !self.reach.has(beam, reading))
-            };
-            if index < end && is_like_it {
+            if index < end
+                && reading.wrapping_sub(self.counting.0) <= self.counting.1
+                && (reading >= self.reach.beyond || !self.reach.has(beam, reading))
+            {
                 last = index;
             } else if stride > 1 {
                 stride = 1;
@@ -287,8 +291,6 @@ pub(super) struct Part<'s> {
     pub(super) readings: &'s [u16],
     /// Whether the first beam was the last one of the previous part.
     pub(super) is_continued: bool,
-    /// Distance up to which beams with nothing in range are free, in millimetres; 0 if they are left out.
-    pub(super) clear: u16,
 }
 
 /// Draws a part of a scan, and adds the counts of its readings to `pixels`. Returns the reading of
@@ -301,7 +303,7 @@ pub(super) fn trace(
     part: Part<'_>,
     pixels: &mut PixelCounts,
 ) -> u32 {
-    let Part { beams, readings, is_continued, clear } = part;
+    let Part { beams, readings, is_continued } = part;
     let sensor = projection.sensor();
     let (mut kept, mut invalid, mut nearest) = (0_u32, 0_u32, u32::MAX);
     let mut is_first_invalid = false;
@@ -313,8 +315,8 @@ pub(super) fn trace(
     let mut index = 0;
     while let Some((&reading, &beam)) = readings.get(index).zip(beams.get(index)) {
         // What is no distance may say that there is nothing.
-        let is_nothing = !grain.counts(readings, index, reading);
-        if is_nothing && (reading != NOTHING_IN_RANGE || clear == 0) || beam == Beam::NONE {
+        let is_silent = || reading != NOTHING_IN_RANGE || grain.clear == 0;
+        if !grain.counts(readings, index, reading) && is_silent() || beam == Beam::NONE {
             let gap = gap(readings, index);
             invalid += gap as u32;
             is_first_invalid |= index == 0;
@@ -323,11 +325,13 @@ pub(super) fn trace(
             continue;
         }
         let reading = u32::from(reading);
-        let is_hit = !is_nothing && grain.reach.has(beam, reading);
+        // Nothing in range is beyond any range.
+        let is_hit = grain.reach.has(beam, reading);
+        let is_nothing = || reading == NOTHING_IN_RANGE.into();
         let reach = if is_hit {
             reading - grain.margin
         } else {
-            beam.reading_at(if is_nothing { clear } else { grain.reach.range })
+            beam.reading_at(if is_nothing() { grain.clear } else { grain.reach.range })
         };
         kept += 1;
         let direction = projection.direction(beam);
@@ -398,10 +402,9 @@ pub(super) fn trace(
                     window.hit(to);
                 }
             }
-        } else {
+        } else if !is_nothing() {
             let way = (here, here + ahead, stride);
-            let end = grain.nothing_up_to((beams, readings), way, reach, is_nothing);
-            index = index.max(end);
+            index = index.max(grain.nothing_up_to((beams, readings), way, reach));
         }
     }
     window.edge(last.at, sensor);

@@ -14,7 +14,7 @@ pub const NOTHING_IN_RANGE: u16 = u16::MAX - 1;
 pub struct Validity {
     /// Minimum reading, in millimetres.
     pub nearest: u16,
-    /// Maximum reading, in millimetres: the limit of the sensor. (Valid readings beyond the map's
+    /// Maximum reading, in millimetres, below [`NOTHING_IN_RANGE`]: the limit of the sensor. (Valid readings beyond the map's
     /// range still show that the space before them is free.)
     pub farthest: u16,
     /// Readings in this range, inclusive, are never mapped: the paper's selective removal (Aluckal
@@ -33,10 +33,16 @@ pub struct Validity {
 }
 
 impl Default for Validity {
-    /// All readings except 0 (no return) and 65,535 (saturated) are valid. Nothing in range is free as far as
+    /// All distances are valid: not 0 (no return), nor 65,535 (saturated). Nothing in range is free as far as
     /// the map's range.
     fn default() -> Self {
-        Self { nearest: 1, farthest: u16::MAX - 1, removed: (0, 0), flying: 0, clear: u16::MAX }
+        Self {
+            nearest: 1,
+            farthest: NOTHING_IN_RANGE - 1,
+            removed: (0, 0),
+            flying: 0,
+            clear: u16::MAX,
+        }
     }
 }
 
@@ -103,8 +109,7 @@ impl Validity {
     #[inline]
     pub fn counts(&self, reading: u16) -> bool {
         let Self { nearest, farthest, removed: (from, to), .. } = *self;
-        let is_measure = !matches!(reading, 0 | NOTHING_IN_RANGE);
-        let is_in_range = reading >= nearest && reading <= farthest && is_measure;
+        let is_in_range = reading >= nearest && reading <= farthest && reading != 0;
         is_in_range && (reading < from || reading > to)
     }
 
@@ -128,7 +133,7 @@ impl Validity {
 
     /// Whether the reading at `index` is valid, by the same rules as [`Validity::clean`]; for rows
     /// that are not cleaned as a whole.
-    #[inline(always)]
+    #[inline]
     pub(crate) fn counts_at(&self, readings: &[u16], index: usize, reading: u16) -> bool {
         if !self.counts(reading) {
             return false;
@@ -296,7 +301,7 @@ mod tests {
             ),
             start: u16,
             nearest in prop_oneof![Just(0u16), 0u16..4_000, any::<u16>()],
-            farthest in prop_oneof![Just(u16::MAX), any::<u16>()],
+            farthest in prop_oneof![Just(NOTHING_IN_RANGE - 1), 0..NOTHING_IN_RANGE],
             removed in prop_oneof![Just((0, 0)), any::<(u16, u16)>(), (900u16..1_200, 1_000u16..3_000)],
             flying in prop_oneof![Just(0u16), 1u16..300, any::<u16>()],
         ) {
