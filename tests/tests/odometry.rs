@@ -114,7 +114,8 @@ fn a_robot_with_raw_odometry_is_found_within_bounds() {
             up as f64 / mapped as f64
         );
         assert!(rms <= 0.3, "{rms}");
-        // Over the bad link vectors get lost.
-        assert!(metres <= 0.1 && degrees <= 1.0 || options == BAD_LINK, "{metres} {degrees}");
+        // Over the bad link three vectors in ten get lost.
+        let most = if options == BAD_LINK { 2.0 } else { 1.0 };
+        assert!(metres <= 0.1 && degrees <= most, "{metres} {degrees}");
     }
 }
