@@ -7,7 +7,8 @@ use ubimap_protocol::time::Instant;
 pub struct Scan<'s> {
     /// When it was taken: the exposure, not the arrival.
     pub taken: Instant,
-    /// One reading per column in millimetres, 0 for no return.
+    /// One reading per column in millimetres; 0 for no return, or
+    /// [`NOTHING_IN_RANGE`](crate::sense::NOTHING_IN_RANGE) if the sensor tells that nothing is there.
     pub readings: &'s [u16],
 }
 
@@ -64,14 +65,6 @@ pub struct SensorCounters {
 ///         }
 ///     }
 ///
-///     fn poll_transmit(&mut self, _: Instant, _: &mut [u8]) -> Option<usize> {
-///         None
-///     }
-///
-///     fn poll_timeout(&self) -> Instant {
-///         Instant(u64::MAX)
-///     }
-///
 ///     fn counters(&self) -> SensorCounters {
 ///         self.counters
 ///     }
@@ -99,11 +92,15 @@ pub trait DepthSensor {
     fn receive(&mut self, bytes: &mut &[u8], now: Instant) -> Option<Scan<'_>>;
 
     /// Writes the next bytes to the sensor into `out`, which should hold 32 bytes. Returns their
-    /// number.
-    fn poll_transmit(&mut self, now: Instant, out: &mut [u8]) -> Option<usize>;
+    /// number. By default the sensor takes no commands.
+    fn poll_transmit(&mut self, _now: Instant, _out: &mut [u8]) -> Option<usize> {
+        None
+    }
 
     /// The latest time for the next call of [`DepthSensor::poll_transmit`].
-    fn poll_timeout(&self) -> Instant;
+    fn poll_timeout(&self) -> Instant {
+        Instant(u64::MAX)
+    }
 
     /// The driver's counters.
     fn counters(&self) -> SensorCounters;

@@ -248,14 +248,6 @@ impl DepthSensor for Ld06<'_> {
         Some(Scan { taken, readings: self.sectors })
     }
 
-    fn poll_transmit(&mut self, _: Instant, _: &mut [u8]) -> Option<usize> {
-        None
-    }
-
-    fn poll_timeout(&self) -> Instant {
-        Instant(u64::MAX)
-    }
-
     fn counters(&self) -> SensorCounters {
         self.counters
     }

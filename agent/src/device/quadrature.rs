@@ -41,7 +41,7 @@ mod tests {
     use core::f64::consts::{FRAC_PI_2, PI};
     use proptest::prelude::*;
 
-    /// The signals of a wheel at an angle, in counts: square waves, of which `a` is a quarter ahead.
+    /// The encoder's signals at an angle in counts: square waves, `a` a quarter of a period ahead.
     fn levels(counts: f64) -> (bool, bool) {
         let phase = counts * FRAC_PI_2 - PI / 4.0;
         ((phase + FRAC_PI_2).sin() > 0.0, phase.sin() > 0.0)

@@ -95,14 +95,6 @@ impl DepthSensor for Zones<'_> {
         None
     }
 
-    fn poll_transmit(&mut self, _: Instant, _: &mut [u8]) -> Option<usize> {
-        None
-    }
-
-    fn poll_timeout(&self) -> Instant {
-        Instant(u64::MAX)
-    }
-
     fn counters(&self) -> SensorCounters {
         self.counters
     }

@@ -14,7 +14,7 @@ pub const MAX_POINTS: usize = 64;
 pub struct Seen<'s> {
     /// When it was taken.
     pub taken: Instant,
-    /// Readings in millimetres, 0 where nothing came back.
+    /// Readings as in a [`Scan`](crate::device::Scan).
     pub readings: &'s [u16],
     /// The beam of each reading; [`Beam::NONE`] for removed ones.
     pub beams: &'s [Beam],

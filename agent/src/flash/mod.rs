@@ -20,7 +20,7 @@ pub use slots::{HEAD, NorFlash, Slot};
 use crate::Seal;
 use slots::Slots;
 
-/// What a robot is told by its image and its flash.
+/// The identity and the parameters that image and flash give a robot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Identity {
     /// Its record, and what a sealed link needs if it has a key.

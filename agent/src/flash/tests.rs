@@ -34,7 +34,7 @@ struct Oracle {
 }
 
 impl Oracle {
-    /// Boots once, and checks what is told. The power may be cut meanwhile.
+    /// Boots once and checks the record and the number of the boot. The power may be cut meanwhile.
     fn boot<const N: usize>(&mut self, flash: &mut Model<N>, seed: Option<&Seed>) {
         let told = Slots::new(flash).boot(seed);
         let wanted = seed.map(|seed| Record { boots: 0, ..seed.record.clone() });

@@ -231,7 +231,8 @@ impl<'b, D: Drive> Robot<'b, D> {
         mapper.map_waiting(scans, link, now);
     }
 
-    /// Processes a scan taken at `taken`: readings in millimetres, 0 for no return. The drive uses
+    /// Processes a scan taken at `taken`: readings as in a
+    /// [`Scan`](crate::device::Scan). The drive uses
     /// it at once; it is mapped as soon as its pose is known.
     ///
     /// # Errors

@@ -14,8 +14,8 @@ pub const NOTHING_IN_RANGE: u16 = u16::MAX - 1;
 pub struct Validity {
     /// Minimum reading, in millimetres.
     pub nearest: u16,
-    /// Maximum reading, in millimetres, below [`NOTHING_IN_RANGE`]: the limit of the sensor. (Valid readings beyond the map's
-    /// range still show that the space before them is free.)
+    /// Maximum reading, in millimetres, below [`NOTHING_IN_RANGE`]: the limit of the sensor. (Valid
+    /// readings beyond the map's range still show that the space before them is free.)
     pub farthest: u16,
     /// Readings in this range, inclusive, are never mapped: the paper's selective removal (Aluckal
     /// III.D) by distance. `(0, 0)` removes none.
@@ -26,7 +26,7 @@ pub struct Validity {
     /// disables the check: for lidars, and for sensors with few pixels, where slanted walls have
     /// steps of the same size.
     pub flying: u16,
-    /// Distance up to which [`NOTHING_IN_RANGE`] says that the ground is free, in millimetres: less than the
+    /// Distance up to which [`NOTHING_IN_RANGE`] says that the ground is free, in millimetres: at most the
     /// range within which every surface gives a reading. It counts half as much as a reading behind that
     /// ground. 0 for a sensor whose silence says nothing.
     pub clear: u16,

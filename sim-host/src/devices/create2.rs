@@ -217,7 +217,7 @@ mod tests {
     #[test]
     fn wrong_wires_turn_the_wheels_and_counts_that_they_name() {
         let good = Wiring::default();
-        // The left wheel is told 100 mm/s, the right one 200; both roll 1 m, the right one 0.235 m more.
+        // The left wheel is commanded to 100 mm/s, the right one to 200; both roll 1 m, the right one 0.235 m more.
         for (wiring, speeds, counts) in [
             (good, [100, 200], [1_985, 2_513]),
             (Wiring { motors: [-1.0, 1.0], ..good }, [-100, 200], [1_985, 2_513]),

@@ -4,13 +4,13 @@
 /// Sets of up to a few thousand members, as bits.
 type Bits = Vec<u64>;
 
-/// Maximum number of branches that are looked at; then the best set so far counts.
+/// Maximum number of branches of the search; then the best set found is returned.
 const BRANCHES: usize = 20_000;
 
 /// The members of the largest set in which each two are consistent, in rising order. `consistent`
 /// tells whether two of `count` members are; it must be symmetric. The search begins with `known`, a
 /// consistent set, and what can be added to it. Exact for a few dozen members, and for some hundred if
-/// most belong together; after 20,000 branches the best set so far counts.
+/// most belong together; after 20,000 branches the best set found is returned.
 pub fn largest_consistent(
     count: usize,
     known: &[usize],

@@ -119,7 +119,7 @@ impl Fit {
     }
 }
 
-/// All matches so far, and which of them are consistent.
+/// The matches found, and which of them are consistent.
 #[derive(Debug, Default)]
 pub(super) struct Loops {
     pub(super) all: Vec<Loop>,

@@ -50,7 +50,7 @@ impl Ear {
         heard
     }
 
-    /// Number of all bytes so far, noise included.
+    /// Number of bytes received, noise included.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }

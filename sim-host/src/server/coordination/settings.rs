@@ -13,8 +13,8 @@ pub struct Settings {
     pub first_path: u32,
     /// Maximum distance from which a robot looks at a frontier, in metres; at most `range_m`.
     pub view_m: f64,
-    /// The range of the robots' sensors in metres. A beam without an echo leaves the ground before
-    /// it unknown.
+    /// The range of the robots' sensors in metres. A depth camera that gets nothing back leaves the
+    /// ground before it unknown.
     pub range_m: f64,
     /// Time that a robot takes to look around at the end of its path.
     pub look: Duration,

@@ -218,6 +218,8 @@ impl SensorPreset {
                 fov_deg: 45.0,
                 beams: 8,
                 min_range_m: 0.02,
+                // A VL53L5CX can tell; its driver does not yet.
+                clear_m: 0.0,
                 noise_m: 0.008,
                 noise_ratio: 0.02,
                 ..beams
