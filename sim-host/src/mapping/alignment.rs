@@ -39,8 +39,15 @@ pub use {
 const MIN_POINTS: usize = 14;
 /// Minimum percentage of points on surfaces, among the points in known ground.
 const MIN_SHARE: usize = 60;
-/// The same in an unknown heading, among all points.
+/// The same in an unknown heading or after an unknown time, among all points.
 const SURE_SHARE: usize = 90;
+/// Search range for a robot that has not moved, except that its base may have rolled on for a moment: 6 degrees,
+/// and standard deviations of 6 cm and 2 degrees.
+const WHERE_IT_STOOD: Search = Search {
+    position: Millimetres(200),
+    turn: Angle(1_092),
+    prior: Prior::Remembered(Millimetres(60), Angle(364)),
+};
 /// Maximum standard deviation of a match's heading: 2 degrees in radians.
 const HEADING_LIMIT: f64 = 0.035;
 /// Factor on the variance, because neighbouring points hit the same cells and are correlated.
@@ -118,10 +125,19 @@ impl Surfaces {
     pub fn find_in_any_heading(&self, points: &[[f64; 2]], about: Pose) -> Option<Match> {
         let turn = Angle(i16::MAX as u16);
         let search = Search { position: Millimetres(800), turn, prior: Prior::Nothing };
-        let found = self.find(points, about, search)?;
-        let (agree, contradict) = self.agreement(points, found.pose);
-        let is_sure = contradict == 0 && 100 * agree as usize >= SURE_SHARE * points.len();
-        is_sure.then_some(found)
+        self.find(points, about, search).filter(|found| self.is_view(points, found.pose))
+    }
+
+    /// Finds the pose of a robot that stood, and has most likely not moved since, near that pose: from there
+    /// nearly all points must lie on surfaces. Views that would fit many other places are of use as well.
+    pub fn find_where_it_stood(&self, points: &[[f64; 2]], stood: Pose) -> Option<Match> {
+        self.find(points, stood, WHERE_IT_STOOD).filter(|found| self.is_view(points, found.pose))
+    }
+
+    /// Whether nearly all points lie on surfaces if seen from a pose, and none contradicts it.
+    fn is_view(&self, points: &[[f64; 2]], pose: Pose) -> bool {
+        let (agree, contradict) = self.agreement(points, pose);
+        contradict == 0 && 100 * agree as usize >= SURE_SHARE * points.len()
     }
 }
 

@@ -7,10 +7,13 @@ use ubimap_protocol::{
     },
     tile::{Layer, tile_hash},
     time::{Duration, Instant},
-    units::Pose,
 };
 
-use super::{session::Session, surroundings::Surroundings, unread::Unread};
+use super::{
+    session::Session,
+    surroundings::{Place, Surroundings},
+    unread::Unread,
+};
 use crate::mapping::{RobotLayer, Updated};
 
 /// Deviations of the pose at which a robot was last heard of before it booted: it neither drives nor maps at
@@ -32,7 +35,7 @@ pub(super) struct Taken {
     /// Number of tiles in updates whose state was old.
     pub(super) late: u32,
     /// Where the robot was before it booted, if it has just been told so.
-    pub(super) hearsay: Option<Pose>,
+    pub(super) hearsay: Option<Place>,
 }
 
 impl Taken {
@@ -111,15 +114,16 @@ impl<'a> Inbox<'a> {
             // A robot can't know its pose in the future.
             self.surroundings.robot(self.session.robot(), moment.min(now), pose);
         } else if let State { time: None, pose: None, .. } = state
-            && let Some((heard, pose)) = self.surroundings.newest(self.session.robot())
-            && now.since(heard) >= UNSEEN
+            && let Some(place) = self.surroundings.place(self.session.robot())
+            && now.since(place.moment) >= UNSEEN
         {
             // It has booted where no camera sees it. Its distance vectors will show whether it is still
             // there; until then it neither maps nor drives, and nobody draws it.
+            let pose = place.pose;
             self.surroundings.robot(self.session.robot(), now, pose);
             let (certainty, source) = (HEARSAY, FixSource::MapMatch);
             let earlier = Default::default();
-            self.taken.hearsay = Some(pose);
+            self.taken.hearsay = Some(place);
             self.session.matched(PoseFix { time: now, pose, certainty, source, earlier });
         }
     }

@@ -317,8 +317,8 @@ impl Server {
         for event in taken.events {
             self.events.add_from(port, now, Event::Reported(robot, event));
         }
-        if let Some(pose) = taken.hearsay {
-            self.corrections.seek(robot, pose);
+        if let Some(place) = taken.hearsay {
+            self.corrections.seek(robot, &place);
         }
         let must_ask = self.voided.concerns(robot) && self.is_level(robot);
         let Some(session) = self.ports.session_mut(robot) else { return };

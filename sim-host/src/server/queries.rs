@@ -139,7 +139,7 @@ impl Server {
 
     /// The newest pose of a robot, from cameras or its own reports, and its time.
     pub fn last_pose(&self, robot: RobotId) -> Option<(Instant, Pose)> {
-        self.surroundings.last_pose(robot)
+        self.surroundings.place(robot).map(|place| (place.moment, place.pose))
     }
 
     /// The newest pose of each robot, from cameras or its own reports, if it is recent at `moment`.

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use ubimap_protocol::{
     message::{Obstacle, Peer, Posture},
-    time::Instant,
-    units::{Millimetres, Pose, RobotId},
+    time::{Duration, Instant},
+    units::{Angle, Millimetres, Pose, RobotId},
 };
 
 use crate::{
@@ -20,10 +20,39 @@ const NEAR_M: f64 = 8.0;
 /// from there.
 const PARKED_AGE: u8 = 200;
 
+/// Distance, and angle of 2 degrees, within which a robot counts as standing: a correction of its pose may move
+/// it a little.
+const STANDS_WITHIN: (Millimetres, Angle) = (Millimetres(30), Angle(364));
+/// Time between reports from one place after which a robot stands there.
+const STANDS_AFTER: Duration = Duration::from_secs(1);
+
+/// What is known of a robot's position.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    /// The newest pose and its time.
+    pub(super) moment: Instant,
+    pub(super) pose: Pose,
+    /// Since when it is there.
+    since: Instant,
+}
+
+impl Place {
+    /// Whether the robot stood when its newest pose was taken.
+    pub(super) fn stands(&self) -> bool {
+        self.moment.since(self.since) >= STANDS_AFTER
+    }
+
+    fn is_at(&self, pose: Pose) -> bool {
+        let off = |from: Millimetres, to: Millimetres| (to - from).0.abs() <= STANDS_WITHIN.0.0;
+        let turned = self.pose.heading.distance(pose.heading);
+        off(self.pose.x, pose.x) && off(self.pose.y, pose.y) && turned <= STANDS_WITHIN.1.0
+    }
+}
+
 /// Robots, people and things.
 #[derive(Debug, Default)]
 pub(super) struct Surroundings {
-    robots: BTreeMap<RobotId, (Instant, Pose)>,
+    robots: BTreeMap<RobotId, Place>,
     footprints: BTreeMap<RobotId, Footprint>,
     tracks: Tracks,
 }
@@ -39,14 +68,15 @@ impl Surroundings {
 
     /// Adds a pose of a robot.
     pub(super) fn robot(&mut self, robot: RobotId, moment: Instant, pose: Pose) {
-        let known = self.robots.entry(robot).or_insert((moment, pose));
-        if known.0 < moment {
-            *known = (moment, pose);
+        let known = self.robots.entry(robot).or_insert(Place { moment, pose, since: moment });
+        if known.moment < moment {
+            let since = if known.is_at(pose) { known.since } else { moment };
+            *known = Place { moment, pose, since };
         }
     }
 
-    /// Where a robot was last, and when.
-    pub(super) fn newest(&self, robot: RobotId) -> Option<(Instant, Pose)> {
+    /// Where a robot was last.
+    pub(super) fn place(&self, robot: RobotId) -> Option<Place> {
         self.robots.get(&robot).copied()
     }
 
@@ -71,21 +101,15 @@ impl Surroundings {
 
     /// The newest pose of each robot, if it is at most [`POSE_STALE`] before or after `moment`.
     pub(super) fn whereabouts(&self, moment: Instant) -> impl Iterator<Item = (RobotId, Pose)> {
-        let recent = self
-            .robots
-            .iter()
-            .filter(move |(_, (at, _))| moment.since(*at).max(at.since(moment)) <= POSE_STALE);
-        recent.map(|(&robot, &(_, pose))| (robot, pose))
-    }
-
-    /// The newest pose of a robot and its time.
-    pub(super) fn last_pose(&self, robot: RobotId) -> Option<(Instant, Pose)> {
-        self.robots.get(&robot).copied()
+        let recent = self.robots.iter().filter(move |(_, place)| {
+            moment.since(place.moment).max(place.moment.since(moment)) <= POSE_STALE
+        });
+        recent.map(|(&robot, place)| (robot, place.pose))
     }
 
     /// The time of the newest pose of any other robot; that of any robot while one stands silent somewhere.
     pub(super) fn peers_moment(&self, robot: RobotId) -> Option<Instant> {
-        let newest = self.robots.values().map(|(moment, _)| *moment).max()?;
+        let newest = self.robots.values().map(|place| place.moment).max()?;
         let of_others = self.others(robot).map(|(_, moment, _)| moment);
         let is_parked = |moment: Instant| {
             let silent = newest.since(moment);
@@ -98,7 +122,7 @@ impl Surroundings {
     /// fell silent and stand.
     pub(super) fn peers(&self, robot: RobotId) -> Vec<Peer> {
         let newest = self.peers_moment(robot).unwrap_or_default();
-        let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
+        let Some(&Place { pose: me, .. }) = self.robots.get(&robot) else { return Vec::new() };
         let there =
             self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= ROBOT_PARKED);
         let peers = there.map(|(id, moment, pose)| {
@@ -116,7 +140,7 @@ impl Surroundings {
 
     /// All known robots: time and pose of their last report, and footprint.
     pub(super) fn robots(&self) -> impl Iterator<Item = (RobotId, Instant, Pose, Footprint)> {
-        self.robots.iter().map(|(&id, &(moment, pose))| {
+        self.robots.iter().map(|(&id, &Place { moment, pose, .. })| {
             (id, moment, pose, self.footprints.get(&id).copied().unwrap_or_default())
         })
     }
@@ -133,7 +157,7 @@ impl Surroundings {
 
     /// The people and things within [`NEAR_M`] of `robot`, nearest first, and the posture of each.
     pub(super) fn obstacles(&self, robot: RobotId) -> Vec<(Obstacle, Posture)> {
-        let Some(&(_, me)) = self.robots.get(&robot) else { return Vec::new() };
+        let Some(&Place { pose: me, .. }) = self.robots.get(&robot) else { return Vec::new() };
         let obstacles = self.tracks.now().map(|track| {
             let told = obstacle(&track);
             (distance_m(me, told.0.x, told.0.y), told)
@@ -143,7 +167,7 @@ impl Surroundings {
 
     fn others(&self, robot: RobotId) -> impl Iterator<Item = (RobotId, Instant, Pose)> + Clone {
         let others = self.robots.iter().filter(move |(id, _)| **id != robot);
-        others.map(|(&id, &(moment, pose))| (id, moment, pose))
+        others.map(|(&id, place)| (id, place.moment, place.pose))
     }
 }
 
@@ -177,7 +201,22 @@ fn nearest_first<T>(things: impl Iterator<Item = (f64, T)>) -> Vec<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::{time::Duration, units::Angle};
+
+    #[test]
+    fn a_robot_stands_after_a_second_at_one_place() {
+        let mut about = Surroundings::default();
+        let mut stands = |millis, x, heading| {
+            let pose = Pose { x: Millimetres(x), y: Millimetres(0), heading: Angle(heading) };
+            about.robot(RobotId(1), Instant(0) + Duration::from_millis(millis), pose);
+            about.place(RobotId(1)).unwrap().stands()
+        };
+        assert!(!stands(0, 0, 0));
+        assert!(!stands(900, 10, 200) && stands(1_000, 0, 0) && stands(9_000, 0, 65_500));
+        assert!(!stands(9_500, 40, 65_500), "it has driven");
+        assert!(!stands(9_600, 40, 400) && !stands(10_550, 40, 400), "it has turned");
+        assert!(stands(10_600, 40, 400));
+        assert!(stands(9_700, 999, 400), "an old report");
+    }
 
     #[test]
     fn a_robot_that_fell_silent_is_told_for_a_minute() {

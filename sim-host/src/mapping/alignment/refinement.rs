@@ -60,14 +60,16 @@ impl Hold {
             _ => search.deviations().0,
         };
         let heading = match search.prior {
-            Prior::Carried(_, deviation) => information(deviation.radians().max(2e-3)),
-            _ => 0.0,
+            Prior::Carried(_, deviation) | Prior::Remembered(_, deviation) => {
+                information(deviation.radians().max(2e-3))
+            }
+            Prior::Measured(_) | Prior::Nothing => 0.0,
         };
         Self {
             at: geometry::position(predicted),
             heading: predicted.heading.radians(),
             information: Vector3::new(information(position), information(position), heading),
-            counts: matches!(search.prior, Prior::Measured(_)),
+            counts: matches!(search.prior, Prior::Measured(_) | Prior::Remembered(..)),
         }
     }
 }

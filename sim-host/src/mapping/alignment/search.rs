@@ -43,6 +43,9 @@ pub enum Prior {
     /// Deviation of x and y. The prediction is an independent measurement that adds to the match's
     /// certainty.
     Measured(Millimetres),
+    /// Deviation of x and y, and of the heading, of an independent measurement that adds to the match's
+    /// certainty.
+    Remembered(Millimetres, Angle),
     /// Deviation of x and y, and of the heading. Whoever uses the match already knows this
     /// information, so it does not add to the match's certainty.
     Carried(Millimetres, Angle),
@@ -60,11 +63,11 @@ pub(super) struct Candidate {
 
 impl Search {
     /// Standard deviations of the predicted pose by which candidates are penalised: of x and y in
-    /// millimetres (from [`Prior::Measured`], otherwise a quarter of the search range), and of the
+    /// millimetres (those of a measurement, otherwise a quarter of the search range), and of the
     /// heading in binary angle units (always a quarter of the range).
     pub(super) fn deviations(&self) -> (f64, f64) {
         let position = match self.prior {
-            Prior::Measured(deviation) => deviation.0.into(),
+            Prior::Measured(deviation) | Prior::Remembered(deviation, _) => deviation.0.into(),
             _ => f64::from(self.position.0) / 4.0,
         };
         (position.max(1.0), (f64::from(self.turn.0) / 4.0).max(1.0))

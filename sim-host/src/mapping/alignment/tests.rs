@@ -165,6 +165,39 @@ fn a_robot_in_any_heading_is_hardly_ever_found_wrongly() {
     assert!(found >= 120 && 100 * wrong <= 5 * found, "{found} found, {wrong} wrong");
 }
 
+/// A robot that has booted where it stood is found in most views; one that was carried away hardly ever is, in
+/// a view that fits the old place.
+#[test]
+fn a_robot_is_found_where_it_stood() {
+    let room = furnished();
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let (mut found, mut wrong, mut deceived, mut in_any_heading) = (0, 0, 0, 0);
+    for _ in 0..300 {
+        let mut pose = |x: f64, y: f64, heading: f64, within: [f64; 2]| {
+            let [x, y] = [x, y].map(|it| it + rng.random_range(-within[0]..within[0]));
+            Pose::from_metres(x, y, heading + rng.random_range(-within[1]..within[1]))
+        };
+        let stood = pose(2.5, 2.0, 0.0, [0.7, 3.1]);
+        let [x, y] = [stood.x.metres(), stood.y.metres()];
+        let rolled = pose(x, y, stood.heading.radians(), [0.02, 0.03]);
+        let carried = pose(x, y, 0.0, [0.8, 3.1]);
+        let surfaces = room.surfaces(stood);
+        let seen = |pose| points(&room.look(pose));
+        if let Some(match_) = surfaces.find_where_it_stood(&seen(rolled), stood) {
+            found += 1;
+            let off = [match_.pose.x - rolled.x, match_.pose.y - rolled.y];
+            let turned = (match_.pose.heading - rolled.heading).degrees().abs();
+            wrong += u32::from(turned > 3.0 || off.iter().any(|off| off.0.abs() > 100));
+        }
+        let any = surfaces.find_in_any_heading(&seen(rolled), stood);
+        in_any_heading += u32::from(any.is_some());
+        deceived += u32::from(surfaces.find_where_it_stood(&seen(carried), stood).is_some());
+    }
+    println!("{found} of 300 found, {wrong} wrong, {in_any_heading} in any heading; {deceived} carried");
+    assert!(found >= 240 && wrong <= 3, "{found} found, {wrong} wrong");
+    assert!(in_any_heading < found && deceived <= 3, "{deceived} were carried away");
+}
+
 /// A search around a wrong position may find a match there, but never outside the search range.
 #[test]
 fn matches_are_within_the_search_range() {

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 
 use crate::{
     mapping::{Match, Prior, Search, Surfaces, Trail},
-    server::shared_map::SharedMap,
+    server::{shared_map::SharedMap, surroundings::Place},
 };
 
 /// Minimum age in seconds of the robot's own cells that are used to localise it: newer cells were
@@ -32,8 +32,24 @@ pub(super) struct BlindTrip {
     /// known from cameras or a match.
     way_mm: f64,
     turned: f64,
-    /// Whether the heading is unknown, until the first match.
-    is_turned: bool,
+    /// `None` once the robot was found after it booted.
+    booted: Option<Booted>,
+}
+
+/// A robot that has booted, and does not know where.
+#[derive(Clone, Copy, Debug)]
+struct Booted {
+    /// Whether it stood when it was last heard of.
+    stood: bool,
+}
+
+impl Booted {
+    /// Finds the robot's pose about the place where it was: there, if it stood and sees what is to be seen
+    /// from there; otherwise in any heading.
+    fn find(self, surfaces: &Surfaces, points: &[[f64; 2]], place: Pose) -> Option<Match> {
+        let there = self.stood.then(|| surfaces.find_where_it_stood(points, place)).flatten();
+        there.or_else(|| surfaces.find_in_any_heading(points, place))
+    }
 }
 
 impl BlindTrip {
@@ -41,25 +57,20 @@ impl BlindTrip {
     /// `unseen`.
     pub(super) fn after(unseen: Duration, last: Pose) -> Self {
         let metres = (unseen.micros() as f64 / 1e6).min(UNHEARD_M);
-        Self {
-            trail: Trail::default(),
-            last,
-            way_mm: 1_000.0 * metres,
-            turned: 0.0,
-            is_turned: false,
-        }
+        Self { trail: Trail::default(), last, way_mm: 1_000.0 * metres, turned: 0.0, booted: None }
     }
 
-    /// Starts the trip of a robot that has booted somewhere about a pose.
-    pub(super) fn about(pose: Pose) -> Self {
+    /// Starts the trip of a robot that has booted somewhere about a place.
+    pub(super) fn about(place: &Place) -> Self {
         let way_mm = 1_000.0 * UNHEARD_M;
-        Self { is_turned: true, way_mm, ..Self::after(Duration::default(), pose) }
+        let booted = Some(Booted { stood: place.stands() });
+        Self { booted, way_mm, ..Self::after(Duration::default(), place.pose) }
     }
 
     /// Adds points to the trail. Called while the robot has only just left the view, so that its
     /// pose is still accurate.
     pub(super) fn remember(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
-        if !self.is_turned {
+        if self.booted.is_none() {
             self.trail.add(pose, points, resolution);
         }
     }
@@ -86,15 +97,15 @@ impl BlindTrip {
             tile
         };
         let surfaces = Surfaces::about(vector.pose, reach, resolution, drawn, &self.trail);
-        let found = match self.is_turned {
-            true => surfaces.find_in_any_heading(points, vector.pose),
-            false => surfaces.find(points, vector.pose, search),
+        let found = match self.booted {
+            Some(booted) => booted.find(&surfaces, points, vector.pose),
+            None => surfaces.find(points, vector.pose, search),
         };
         if found.is_some() {
-            (self.way_mm, self.turned, self.is_turned) = (0.0, 0.0, false);
+            (self.way_mm, self.turned, self.booted) = (0.0, 0.0, None);
         }
         // What is seen in an unknown heading would mislead the next search.
-        if !self.is_turned {
+        if self.booted.is_none() {
             let pose = found.map_or(vector.pose, |found| found.pose);
             self.trail.add(pose, points, resolution);
         }

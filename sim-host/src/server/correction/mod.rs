@@ -18,7 +18,7 @@ use self::{
     cure::CureStep,
     robot::{Finding, RobotCorrection},
 };
-use super::{command::Command, session::Session, shared_map::SharedMap};
+use super::{command::Command, session::Session, shared_map::SharedMap, surroundings::Place};
 use crate::mapping::{ConstantErrors, CureRecord};
 
 /// The corrections of all robots.
@@ -64,8 +64,8 @@ impl Corrections {
         self.robots.entry(robot).or_default().fix(captured, seen)
     }
 
-    /// Seeks a robot around a pose, in any heading.
-    pub(super) fn seek(&mut self, robot: RobotId, about: Pose) {
+    /// Seeks a robot that has booted around the place where it was.
+    pub(super) fn seek(&mut self, robot: RobotId, about: &Place) {
         self.robots.entry(robot).or_default().seek(about);
     }
 

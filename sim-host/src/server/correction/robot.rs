@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     mapping::{ConstantErrors, CureRecord, Match, Prior, Search, Surfaces, Trail, points},
-    server::shared_map::SharedMap,
+    server::{shared_map::SharedMap, surroundings::Place},
     timing::{FIX_GAP, FIX_HISTORY, OUT_OF_VIEW},
 };
 
@@ -79,8 +79,8 @@ impl RobotCorrection {
         pose
     }
 
-    /// Begins a trip of the robot around a pose, in an unknown heading.
-    pub(super) fn seek(&mut self, about: Pose) {
+    /// Begins a trip of the robot, which has booted, around the place where it was.
+    pub(super) fn seek(&mut self, about: &Place) {
         self.blind = Some(BlindTrip::about(about));
     }
 

@@ -97,5 +97,6 @@ fn a_robot_that_boots_out_of_view_is_told_where_it_was() {
     assert_eq!(told(&mut surroundings, Some(pose), at(2_000)), 0);
     assert_eq!(told(&mut surroundings, None, at(2_900)), 0, "a camera may see it");
     assert_eq!(told(&mut surroundings, None, at(4_000)), 1);
-    assert_eq!(surroundings.newest(RobotId(1)), Some((at(4_000), pose)));
+    let place = surroundings.place(RobotId(1)).unwrap();
+    assert_eq!((place.moment, place.pose), (at(4_000), pose));
 }
