@@ -212,6 +212,10 @@ impl<'b> Driver<'b> {
                 let sight = StepContext { inputs, pose, unsure, elapsed, now };
                 self.go_on(&sight, &ground)
             }
+            // What is to be seen around it may show the server where it is.
+            (Some(Reason::PoseLost), Some(_)) if self.task != Task::Stand => {
+                (self.follower.spin(true, elapsed), Reason::PoseLost)
+            }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
         };
         // While faulty wheels are tried again, their fault is still reported: it is cleared only

@@ -108,8 +108,9 @@ impl Safety {
         self.fault.filter(|_| self.is_trying).map(|(reason, _)| reason)
     }
 
-    /// The reason why the robot must stop; `None` if it may drive. `command` is the command
-    /// executed since the last check.
+    /// The reason why the robot must stop; `None` if it may drive. One that has a pose but does not know it
+    /// well enough ([`Reason::PoseLost`]) may turn on the spot. `command` is the command executed since the
+    /// last check.
     pub fn check(&mut self, health: &Health, command: DriveCommand) -> Option<Reason> {
         let limits = &self.limits;
         let now = health.now;
@@ -119,10 +120,10 @@ impl Safety {
             Some(Reason::Stopped)
         } else if limits.silence.is_some_and(|most| is_old(health.heard, most)) {
             Some(Reason::LinkLost)
-        } else if sure.is_none() {
-            Some(Reason::PoseLost)
         } else if is_old(health.scan, limits.scan_age) {
             Some(Reason::SensorLost)
+        } else if health.pose.is_none() {
+            Some(Reason::PoseLost)
         } else if sure.is_some_and(|(pose, _)| !self.is_inside(pose)) {
             Some(Reason::OutsideMap)
         } else {
@@ -138,7 +139,9 @@ impl Safety {
             }
             self.is_trying = true;
         }
-        let fault = self.watch(now, sure?, health.odometry?, command)?;
+        let measured = health.pose.zip(health.odometry);
+        let fault = measured.and_then(|(pose, odometry)| self.watch(now, pose, odometry, command));
+        let Some(fault) = fault else { return sure.is_none().then_some(Reason::PoseLost) };
         self.watch = None;
         self.tries += 1;
         (self.fault, self.is_trying) = (Some((fault, now)), false);

@@ -202,11 +202,10 @@ fn it_does_not_wait_for_a_person_who_sits_and_keeps_farther_away() {
 #[test]
 fn it_stops_without_link_pose_or_scan_and_resumes_with_them() {
     type Fault = fn(&mut Simulation, bool);
-    let faults: [(Fault, Reason, f64); 4] = [
+    let faults: [(Fault, Reason, f64); 3] = [
         (|it, on| it.link = !on, Reason::LinkLost, 2.1),
         (|it, on| it.sees = !on, Reason::SensorLost, 0.7),
         (|it, on| it.stop = on, Reason::Stopped, 0.1),
-        (|it, on| it.unsure = if on { 200.0 } else { 20.0 }, Reason::PoseLost, 0.1),
     ];
     for (fault, reason, within) in faults {
         let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
@@ -223,6 +222,31 @@ fn it_stops_without_link_pose_or_scan_and_resumes_with_them() {
         it.until(Reason::Arrived, 30.0);
         assert_eq!(it.told, [Reason::Driving, reason, Reason::Driving, Reason::Arrived]);
     }
+}
+
+#[test]
+fn it_turns_on_the_spot_while_it_does_not_know_where_it_is() {
+    let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
+    it.go(3.4, 1.2);
+    it.run(2.0);
+    it.unsure = 200.0;
+    it.until(Reason::PoseLost, 0.1);
+    let at = it.at;
+    it.run(2.0);
+    assert!((it.at.0, it.at.1) == (at.0, at.1) && it.at.2 != at.2);
+    assert!(it.command.turn > 200, "{:?}", it.command);
+    // Without a scan, or with nowhere to go, it stands.
+    it.sees = false;
+    it.until(Reason::SensorLost, 0.7);
+    assert_eq!(it.command, DriveCommand::STAND);
+    it.sees = true;
+    it.until(Reason::PoseLost, 0.2);
+    it.unsure = 20.0;
+    it.until(Reason::Arrived, 30.0);
+    it.unsure = 200.0;
+    it.driver.set_task(Task::Stand);
+    it.until(Reason::PoseLost, 0.2);
+    assert_eq!(it.command, DriveCommand::STAND);
 }
 
 #[test]

@@ -193,7 +193,9 @@ fn a_robot_is_found_where_it_stood() {
         in_any_heading += u32::from(any.is_some());
         deceived += u32::from(surfaces.find_where_it_stood(&seen(carried), stood).is_some());
     }
-    println!("{found} of 300 found, {wrong} wrong, {in_any_heading} in any heading; {deceived} carried");
+    println!(
+        "{found} of 300 found, {wrong} wrong, {in_any_heading} in any heading; {deceived} carried"
+    );
     assert!(found >= 240 && wrong <= 3, "{found} found, {wrong} wrong");
     assert!(in_any_heading < found && deceived <= 3, "{deceived} were carried away");
 }

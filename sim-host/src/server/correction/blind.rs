@@ -7,7 +7,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    mapping::{Match, Prior, Search, Surfaces, Trail},
+    mapping::{Match, Prior, Search, Surfaces, Trail, submaps::motion},
     server::{shared_map::SharedMap, surroundings::Place},
 };
 
@@ -20,6 +20,9 @@ const STRAYS: (f64, f64) = (20.0, 0.0175);
 /// Maximum distance in metres that a robot is assumed to have driven, at 1 m/s, before its first
 /// report from blind ground.
 const UNHEARD_M: f64 = 6.0;
+
+/// Distance and angle (5 degrees) within which two views of a robot that has booted lead to one place.
+const SAME: (Millimetres, Angle) = (Millimetres(150), Angle(910));
 
 /// The time that a robot spends out of the cameras' view.
 #[derive(Debug)]
@@ -41,14 +44,28 @@ pub(super) struct BlindTrip {
 struct Booted {
     /// Whether it stood when it was last heard of.
     stood: bool,
+    /// The last pose found in any heading, and the one that the robot believed in then.
+    last: Option<(Pose, Pose)>,
 }
 
 impl Booted {
-    /// Finds the robot's pose about the place where it was: there, if it stood and sees what is to be seen
-    /// from there; otherwise in any heading.
-    fn find(self, surfaces: &Surfaces, points: &[[f64; 2]], place: Pose) -> Option<Match> {
-        let there = self.stood.then(|| surfaces.find_where_it_stood(points, place)).flatten();
-        there.or_else(|| surfaces.find_in_any_heading(points, place))
+    /// Finds the robot's pose about the place where it believes to be: there, if it stood and sees what is to
+    /// be seen from there; otherwise in any heading, if two views in a row lead to one place.
+    fn find(&mut self, surfaces: &Surfaces, points: &[[f64; 2]], believed: Pose) -> Option<Match> {
+        if let Some(found) =
+            self.stood.then(|| surfaces.find_where_it_stood(points, believed)).flatten()
+        {
+            return Some(found);
+        }
+        let found = surfaces.find_in_any_heading(points, believed)?;
+        let last = self.last.replace((found.pose, believed));
+        let is_confirmed = last.is_some_and(|(seen, from)| {
+            let here = motion(seen) * motion(from).inverse() * motion(believed);
+            let off = here.inverse() * motion(found.pose);
+            off.translation.vector.norm() <= SAME.0.metres()
+                && off.rotation.angle().abs() <= SAME.1.radians()
+        });
+        is_confirmed.then_some(found)
     }
 }
 
@@ -63,7 +80,7 @@ impl BlindTrip {
     /// Starts the trip of a robot that has booted somewhere about a place.
     pub(super) fn about(place: &Place) -> Self {
         let way_mm = 1_000.0 * UNHEARD_M;
-        let booted = Some(Booted { stood: place.stands() });
+        let booted = Some(Booted { stood: place.stands(), last: None });
         Self { booted, way_mm, ..Self::after(Duration::default(), place.pose) }
     }
 
@@ -97,7 +114,7 @@ impl BlindTrip {
             tile
         };
         let surfaces = Surfaces::about(vector.pose, reach, resolution, drawn, &self.trail);
-        let found = match self.booted {
+        let found = match &mut self.booted {
             Some(booted) => booted.find(&surfaces, points, vector.pose),
             None => surfaces.find(points, vector.pose, search),
         };
