@@ -13,7 +13,7 @@ use super::{
     markers::{Identifier, Mount},
     ray_table::Survey,
     robots::{Localiser, RegistryError, SightingEvent},
-    steadiness::{Change, Standing, Steadiness},
+    steadiness::{Body, Change, Standing, Steadiness},
 };
 use crate::{
     camera::{Calibration, Frame, Observation},
@@ -31,7 +31,8 @@ const DISPUTE_LASTS: Duration = Duration::from_millis(1_500);
 pub struct Observer {
     localiser: Localiser,
     eyes: Vec<Option<Camera>>,
-    footprints: BTreeMap<RobotId, Footprint>,
+    /// The footprint of each robot, and its height in metres: that of its marker.
+    sizes: BTreeMap<RobotId, (Footprint, f64)>,
     /// The time and pose of each robot's last localisation.
     localised: BTreeMap<RobotId, (Instant, Pose)>,
     changes: VecDeque<(Instant, usize, Change)>,
@@ -72,7 +73,10 @@ impl Observer {
         Ok(Self {
             localiser: Localiser::new(cameras, markers)?,
             eyes: cameras.iter().enumerate().map(camera).collect(),
-            footprints: robots.iter().map(|&(_, mount, it)| (mount.robot, it)).collect(),
+            sizes: robots
+                .iter()
+                .map(|&(_, mount, it)| (mount.robot, (it, mount.height_m)))
+                .collect(),
             localised: BTreeMap::new(),
             changes: VecDeque::new(),
             disputed: None,
@@ -93,7 +97,9 @@ impl Observer {
         told: impl IntoIterator<Item = (RobotId, Pose)>,
     ) -> (Observation, Option<FrameError>) {
         let captured = frame.captured;
-        let is_trusted = self.watch(frame, now);
+        let mut poses: BTreeMap<RobotId, Pose> = told.into_iter().collect();
+        poses.extend(self.localised(captured));
+        let is_trusted = self.watch(frame, now, &self.bodies(&poses));
         let robots = self.localiser.observe(frame, now);
         for sighting in &robots {
             let last = self.localised.entry(sighting.robot).or_insert((captured, sighting.pose));
@@ -107,22 +113,16 @@ impl Observer {
         }
         let mut observation =
             Observation { camera: frame.camera, captured, robots, ..Observation::default() };
-        let mut poses: BTreeMap<RobotId, Pose> = told.into_iter().collect();
-        let recent = |&(_, &(moment, _)): &(&RobotId, &(Instant, Pose))| {
-            moment.since(captured).max(captured.since(moment)) <= SIGHTING_HOLDS
-        };
-        poses
-            .extend(self.localised.iter().filter(recent).map(|(&robot, &(_, pose))| (robot, pose)));
+        poses.extend(self.localised(captured));
+        let bodies = self.bodies(&poses);
         let Some(Some(camera)) = self.eyes.get_mut(frame.camera) else {
             return (observation, None);
         };
         if !is_trusted || frame.depth.is_none() || captured < camera.next_look {
             return (observation, None);
         }
-        let bodies: Vec<(Footprint, Pose)> = poses
-            .iter()
-            .map(|(robot, &pose)| (self.footprints.get(robot).copied().unwrap_or_default(), pose))
-            .collect();
+        let bodies: Vec<(Footprint, Pose)> =
+            bodies.iter().map(|body| (body.footprint, body.pose)).collect();
         match camera.eye.look(frame, now, &bodies) {
             Ok(seen) => {
                 camera.fault = None;
@@ -141,8 +141,24 @@ impl Observer {
         }
     }
 
-    /// Whether the camera of a frame stands where it should, as far as is known.
-    fn watch(&mut self, frame: &Frame, now: Instant) -> bool {
+    /// The robots that cameras see at a moment.
+    fn localised(&self, moment: Instant) -> impl Iterator<Item = (RobotId, Pose)> {
+        let recent = move |&(_, &(seen, _)): &(&RobotId, &(Instant, Pose))| {
+            seen.since(moment).max(moment.since(seen)) <= SIGHTING_HOLDS
+        };
+        self.localised.iter().filter(recent).map(|(&robot, &(_, pose))| (robot, pose))
+    }
+
+    fn bodies(&self, poses: &BTreeMap<RobotId, Pose>) -> Vec<Body> {
+        let body = |(robot, &pose)| {
+            let (footprint, height_m) = self.sizes.get(robot).copied().unwrap_or_default();
+            Body { footprint, pose, height_m }
+        };
+        poses.iter().map(body).collect()
+    }
+
+    /// Whether the camera of a frame stands where it should, as far as is known. `robots` are about in view.
+    fn watch(&mut self, frame: &Frame, now: Instant, robots: &[Body]) -> bool {
         let accused = self.eyes.iter().enumerate().filter(|(_, camera)| {
             camera.as_ref().is_some_and(|camera| camera.steadiness.is_accused())
         });
@@ -153,9 +169,9 @@ impl Observer {
         if frame.captured >= camera.next_look
             && let Ok(depths) = camera.eye.check(frame, now)
         {
-            if let Some(change) =
-                camera.steadiness.look(depths, frame.captured, accused == [frame.camera])
-            {
+            let is_accused = accused == [frame.camera];
+            let change = camera.steadiness.look(depths, frame.captured, robots, is_accused);
+            if let Some(change) = change {
                 camera.change(&change);
                 self.localiser.stand(frame.camera, camera.calibration.picture);
                 self.changes.push_back((frame.captured, frame.camera, change));

@@ -7,6 +7,7 @@
 //! decides from the motions of some seconds: a camera that was knocked is out of use until its new pose
 //! is known, and one that drifts is followed.
 
+mod body;
 mod motion;
 mod standing;
 #[cfg(test)]
@@ -14,6 +15,7 @@ mod tests;
 mod view;
 mod witness;
 
+pub use body::Body;
 pub use motion::Motion;
 pub use standing::{Change, Standing, Steadiness};
 pub use view::View;

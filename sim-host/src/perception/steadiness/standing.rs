@@ -13,6 +13,7 @@ use nalgebra::Isometry3;
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::{
+    body::Body,
     motion::{Motion, lengths, motion, transform},
     view::{Aligned, View},
     witness::Witness,
@@ -208,13 +209,25 @@ impl Steadiness {
     }
 
     /// Takes the next depth image, which has the size of the sensor's; `is_accused` says whether the
-    /// neighbours accuse this camera and no other. Late images are ignored.
-    pub fn look(&mut self, depths: &[u16], captured: Instant, is_accused: bool) -> Option<Change> {
+    /// neighbours accuse this camera and no other. What it shows of the robots does not count. Late images are
+    /// ignored.
+    pub fn look(
+        &mut self,
+        depths: &[u16],
+        captured: Instant,
+        robots: &[Body],
+        is_accused: bool,
+    ) -> Option<Change> {
         if captured < self.last {
             return None;
         }
         let elapsed = captured.since(self.last);
         self.last = captured;
+        let pose = self.pose();
+        let depths = &self.view.sample(depths, |ray| {
+            let (from, along) = (pose.translation.vector, pose * ray);
+            robots.iter().any(|robot| robot.is_before(&from, &along))
+        });
         if !self.view.is_learnt() {
             self.view.learn(depths, captured);
             self.in_place = captured;

@@ -47,7 +47,7 @@ impl Scene {
     fn look(&mut self, exact: &DepthImage, is_accused: bool) -> Option<(f64, Change)> {
         self.frames += 1;
         let image = noisy(exact, &DepthNoise::D435, self.frames, 980);
-        let change = self.watch.look(&image, self.now(), is_accused)?;
+        let change = self.watch.look(&image, self.now(), &[], is_accused)?;
         Some((self.frames as f64 / 5.0, change))
     }
 
@@ -124,7 +124,7 @@ fn neither_noise_nor_robots_that_drive_away_are_a_drift() {
     let mut watch = Steadiness::new(stated.intrinsics(), noise, *stated.pose());
     for frame in 0..700 {
         let image = noisy(if frame < 60 { &parked } else { &away }, &noise, frame, 980);
-        let change = watch.look(&image, Instant(frame * 200_000), false);
+        let change = watch.look(&image, Instant(frame * 200_000), &[], false);
         assert_eq!(change, None, "frame {frame}");
     }
 }

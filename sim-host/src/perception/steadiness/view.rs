@@ -136,8 +136,21 @@ impl View {
         (IMAGES as u32).saturating_add(self.improved).min(MEAN_OF)
     }
 
-    /// Learns from an image of a camera that stands still.
-    pub fn learn(&mut self, depths: &[u16], captured: Instant) {
+    /// The depths at the pixels of the grid, 0 where `is_hidden` says of a ray in the optical frame that
+    /// something is in its way that does not belong to the room.
+    pub(super) fn sample(
+        &self,
+        depths: &[u16],
+        is_hidden: impl Fn(&Vector3<f64>) -> bool,
+    ) -> Vec<u16> {
+        let depth = |(&pixel, ray): (&usize, &Vector3<f64>)| {
+            depths.get(pixel).copied().filter(|_| !is_hidden(ray)).unwrap_or(0)
+        };
+        self.pixels.iter().zip(&self.rays).map(depth).collect()
+    }
+
+    /// Learns from the [`sample`](Self::sample) of an image of a camera that stands still.
+    pub(super) fn learn(&mut self, depths: &[u16], captured: Instant) {
         if captured < self.due {
             return;
         }
@@ -150,7 +163,7 @@ impl View {
             }
         } else {
             self.due = captured + INTERVAL;
-            self.first.push(self.pixels.iter().map(|&pixel| depth(depths, pixel)).collect());
+            self.first.push(depths.to_vec());
             if self.first.len() < IMAGES {
                 return;
             }
@@ -168,11 +181,11 @@ impl View {
         self.improved = 0;
     }
 
-    /// The motion of the camera since the view was learnt, if it explains an image; the search begins at
-    /// `from`. `None` if there is too little to go by.
+    /// The motion of the camera since the view was learnt, if it explains the [`sample`](Self::sample) of an
+    /// image; the search begins at `from`. `None` if there is too little to go by.
     pub(super) fn align(&self, depths: &[u16], from: &Isometry3<f64>) -> Option<Aligned> {
         let seen = self.planes.iter().filter_map(|plane| {
-            let depth = depth(depths, self.pixels[plane.sample]);
+            let depth = depths[plane.sample];
             (depth > 0).then(|| (plane, self.rays[plane.sample], 1000.0 / f64::from(depth)))
         });
         let seen: Vec<(&Plane, Vector3<f64>, f64)> = seen.collect();
@@ -244,8 +257,7 @@ impl View {
     }
 
     fn improve(&mut self, depths: &[u16]) {
-        for (sample, &pixel) in self.samples.iter_mut().zip(&self.pixels) {
-            let depth = depth(depths, pixel);
+        for (sample, &depth) in self.samples.iter_mut().zip(depths) {
             if depth > 0 {
                 let inverse = 1000.0 / f64::from(depth);
                 sample.improve(inverse, SAME * sigma(&self.noise, inverse));
@@ -337,8 +349,4 @@ impl Plane {
 /// The standard deviation of an inverse depth.
 fn sigma(noise: &DepthNoise, inverse: f64) -> f64 {
     noise.sigma_m(1.0 / inverse) * inverse * inverse
-}
-
-fn depth(depths: &[u16], pixel: usize) -> u16 {
-    depths.get(pixel).copied().unwrap_or(0)
 }
