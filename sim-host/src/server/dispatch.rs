@@ -18,11 +18,14 @@ pub(super) struct Dispatch {
     coordinator: Coordinator,
     /// Robots that may explore, including those that the coordinator does not know yet.
     explorers: BTreeSet<RobotId>,
+    /// Robots that were told to stop.
+    held: BTreeSet<RobotId>,
 }
 
 impl Dispatch {
     pub(super) fn new(settings: Settings) -> Self {
-        Self { coordinator: Coordinator::new(settings), explorers: BTreeSet::new() }
+        let (explorers, held) = (BTreeSet::new(), BTreeSet::new());
+        Self { coordinator: Coordinator::new(settings), explorers, held }
     }
 
     /// Keeps robots on a floor.
@@ -37,6 +40,16 @@ impl Dispatch {
         } else {
             self.explorers.remove(&robot);
             self.coordinator.set_exploring(robot, false);
+        }
+    }
+
+    /// Notes that a robot was told to stop, which ends its errand, or that it may drive again.
+    pub(super) fn hold(&mut self, robot: RobotId, held: bool) {
+        if held {
+            self.held.insert(robot);
+            self.coordinator.end_errand(robot);
+        } else {
+            self.held.remove(&robot);
         }
     }
 
@@ -76,8 +89,8 @@ impl Dispatch {
             return false;
         }
         let robots = snapshot.surroundings.robots().map(|(robot, moment, pose, footprint)| {
-            let has_session = is_reachable(robot);
-            Whereabouts { robot, moment, pose, footprint, has_session }
+            let obeys = is_reachable(robot) && !self.held.contains(&robot);
+            Whereabouts { robot, moment, pose, footprint, obeys }
         });
         let robots: Vec<Whereabouts> = robots.collect();
         let obstacles = snapshot.surroundings.all_obstacles().into_iter();

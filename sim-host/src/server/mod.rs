@@ -376,7 +376,12 @@ impl Server {
     /// # Errors
     /// Every [`CommandError`].
     pub fn command(&mut self, robot: RobotId, command: Command) -> Result<(), CommandError> {
-        self.ports.command(robot, command)
+        let held = if let Command::Stop(Stop { stop, .. }) = command { Some(stop) } else { None };
+        self.ports.command(robot, command)?;
+        if let (Some(dispatch), Some(held)) = (&mut self.dispatch, held) {
+            dispatch.hold(robot, held);
+        }
+        Ok(())
     }
 
     /// Tells every robot with a session to stop. The command has the highest number, so no later

@@ -89,7 +89,7 @@ impl Coordinator {
         match checked {
             Ok(index) => {
                 let member = &mut self.members[index];
-                (member.goal, member.target) = (Some(goal), None);
+                (member.goal, member.target, member.trouble) = (Some(goal), None, None);
                 member.set_out(now);
                 self.reservations.drop_ahead(index);
             }
@@ -108,6 +108,14 @@ impl Coordinator {
             self.reservations.drop_ahead(index);
         }
         true
+    }
+
+    /// Takes a robot's goal or target away, and its memory of where it was blocked.
+    pub fn end_errand(&mut self, robot: RobotId) {
+        let Ok(index) = self.index(robot) else { return };
+        let member = &mut self.members[index];
+        (member.goal, member.target, member.trouble) = (None, None, None);
+        self.reservations.drop_ahead(index);
     }
 
     /// Handles an event that a robot reported.

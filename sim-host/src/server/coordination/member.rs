@@ -96,8 +96,8 @@ impl Member {
             (self.still_at, self.still_since) = (robot.place(), robot.moment);
         }
         let was_lost = self.lost.is_some();
-        self.lost = (!robot.has_session).then(|| self.lost.unwrap_or(now));
-        was_lost && robot.has_session
+        self.lost = (!robot.obeys).then(|| self.lost.unwrap_or(now));
+        was_lost && robot.obeys
     }
 
     /// Time for which the robot has been seen standing still.

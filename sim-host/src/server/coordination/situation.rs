@@ -36,8 +36,8 @@ pub struct Whereabouts {
     pub pose: Pose,
     /// The robot's footprint.
     pub footprint: Footprint,
-    /// Whether the robot has a session, so that it can be commanded.
-    pub has_session: bool,
+    /// Whether the robot can be commanded: it has a session, and was not told to stop.
+    pub obeys: bool,
 }
 
 /// Why a goal was refused.

@@ -34,7 +34,7 @@ pub(super) struct Body {
     stands_until: Instant,
     /// When a person or a wall began to block its way.
     blocked_since: Option<Instant>,
-    pub(super) has_session: bool,
+    pub(super) obeys: bool,
     /// Paths in flight to the robot, and pose reports in flight from it.
     mail: VecDeque<(Instant, Vec<Point>)>,
     reports: VecDeque<(Instant, Instant, Point)>,
@@ -91,7 +91,7 @@ impl Floor {
             is_done: true,
             stands_until: Instant(0),
             blocked_since: None,
-            has_session: true,
+            obeys: true,
             mail: VecDeque::new(),
             reports: VecDeque::new(),
             reported: (Instant(0), place),
@@ -178,7 +178,7 @@ impl Floor {
         }
         let step_m = body.speed * STEP.micros() as f64 / 1e6;
         let mut event = None;
-        if now >= body.stands_until && body.has_session {
+        if now >= body.stands_until && body.obeys {
             match body.path.front().copied() {
                 Some(next) => {
                     let way = next - body.place;
@@ -238,7 +238,7 @@ impl Floor {
                 heading: Angle(0),
             },
             footprint: Footprint::default(),
-            has_session: body.has_session,
+            obeys: body.obeys,
         };
         let robots: Vec<Whereabouts> = self.bodies.iter().enumerate().map(robot).collect();
         let obstacle = |(place, velocity): &(Point, f64)| Obstacle {

@@ -7,7 +7,7 @@ use super::{
     floor::{Floor, id},
     plan::Plan,
 };
-use crate::server::coordination::{GoalError, Notice, ground::Point};
+use crate::server::coordination::{Errand, GoalError, Notice, ground::Point};
 
 /// Two rooms, 10 m by 6 m together, with a door of 0.9 m between them.
 fn two_rooms() -> Plan {
@@ -156,14 +156,36 @@ fn a_dead_robot_in_the_door_causes_one_notice_per_robot() {
         floor.coordinator.goal(id(index), 8.0, y, floor.now).unwrap();
     }
     assert!(floor.run(60, |floor| floor.bodies[0].place.x > 4.9));
-    floor.bodies[0].has_session = false;
+    floor.bodies[0].obeys = false;
     assert!(!floor.run(120, |floor| floor.count(Notice::Reached) > 0));
     assert_eq!(floor.count(Notice::NoWay), 2, "{:?}", floor.notices);
     // The robot comes back, and all continue.
-    floor.bodies[0].has_session = true;
+    floor.bodies[0].obeys = true;
     assert!(floor.run(120, |floor| floor.count(Notice::Reached) == 3), "{:?}", floor.notices);
     assert!(!floor.is_blocked());
     assert_eq!(floor.count(Notice::NoWay), 2);
+}
+
+/// A robot that a user has stopped is not sent aside, and forgets its goal.
+#[test]
+fn a_stopped_robot_stays_where_it_is() {
+    let mut plan = Plan::room(12.0, 3.0);
+    plan.wall(0.0, 1.0, 9.0, 3.0);
+    plan.wall(10.2, 1.0, 12.0, 3.0);
+    let starts = [Point::new(6.0, 0.5), Point::new(8.0, 0.5)];
+    let mut floor = Floor::new(plan, &starts, 1, |_| false);
+    floor.coordinator.goal(id(0), 11.0, 0.5, floor.now).unwrap();
+    floor.coordinator.goal(id(1), 10.0, 0.5, floor.now).unwrap();
+    floor.bodies[1].obeys = false;
+    floor.coordinator.end_errand(id(1));
+    assert!(!floor.run(60, |floor| floor.count(Notice::Reached) > 0));
+    assert_eq!(floor.bodies[1].place, starts[1]);
+    assert_eq!(floor.coordinator.errand(id(1)), Some(Errand::Idle));
+    assert_eq!(floor.count(Notice::NoWay), 1);
+    // It may drive again, and makes way.
+    floor.bodies[1].obeys = true;
+    assert!(floor.run(240, |floor| floor.count(Notice::Reached) == 1), "{:?}", floor.notices);
+    assert_ne!(floor.bodies[1].place, starts[1]);
 }
 
 /// A corridor 1 m wide with a niche; each robot's goal is the other one's start.
