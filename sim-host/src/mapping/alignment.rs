@@ -41,12 +41,13 @@ const MIN_POINTS: usize = 14;
 const MIN_SHARE: usize = 60;
 /// The same in an unknown heading or after an unknown time, among all points.
 const SURE_SHARE: usize = 90;
-/// Search range for a robot that has not moved, except that its base may have rolled on for a moment: 4 degrees,
-/// and standard deviations of 6 cm and 2 degrees.
+/// Search range for a robot that has not moved, except that its base may have rolled on for a moment: 6 cm and
+/// 4 degrees, and standard deviations of 2 cm and 1.5 degrees. More would lead to wrong matches, as robots' walls
+/// in blind ground may be a little askew.
 const WHERE_IT_STOOD: Search = Search {
-    position: Millimetres(200),
+    position: Millimetres(60),
     turn: Angle(728),
-    prior: Prior::Remembered(Millimetres(60), Angle(364)),
+    prior: Prior::Remembered(Millimetres(20), Angle(273)),
 };
 /// Maximum standard deviation of a match's heading: 2 degrees in radians.
 const HEADING_LIMIT: f64 = 0.035;

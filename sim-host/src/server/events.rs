@@ -448,7 +448,9 @@ fn reason(event: &message::Event) -> String {
         Some(EventCode::PoolFull) => "ran out of tiles and refused cells",
         Some(EventCode::LowBattery) => "has a low battery",
         Some(EventCode::Collision) => "has run into something",
-        Some(EventCode::StoppedByPerson) => "has stopped for somebody or something that is not on its map",
+        Some(EventCode::StoppedByPerson) => {
+            "has stopped for somebody or something that is not on its map"
+        }
         Some(EventCode::PathBlocked) => "can't go on: its path is blocked",
         Some(EventCode::PathDone) => "is at the end of its path",
         Some(EventCode::Watchdog) => "was restarted by its watchdog",

@@ -38,7 +38,7 @@ use crate::{
     channel::{address::Address, serial::SerialPort},
     deployment::{self, Life},
     report::ServeReport,
-    server::coordination::Settings,
+    server::coordination::{Settings, settings::ExplorationRules},
 };
 pub use attached::{Attached, Opener};
 pub use bench_camera::CAPTURE_INTERVAL;
@@ -49,6 +49,8 @@ pub use station::Station;
 use message::Message;
 use results::Writer;
 
+/// Time after which a robot that finds nothing to look at returns into the cameras' view.
+const RETURNS_AFTER: Duration = Duration::from_secs(4);
 /// Interval between two lines about the state in the log.
 const SUMMARY: Duration = Duration::from_secs(60);
 /// How long a command waits for the core.
@@ -117,10 +119,13 @@ fn serve_file(path: &Path, options: &ServeOptions) -> Result<ServeReport, RunErr
     let links = open(&file.ports, options, keys.is_some(), |_| None)?;
     let store = options.store.as_ref().or(file.store.as_ref());
     let (keeper, life) = begin(store.map(|store| store.as_path()), file.resolution)?;
+    let exploration =
+        ExplorationRules { returns_after: Some(RETURNS_AFTER), ..ExplorationRules::default() };
+    let settings = Settings { exploration, ..Settings::default() };
     let config = deployment::Config {
         registry: file.registry.clone(),
         obstacle_heights: file.obstacles,
-        coordination: Some(Settings::default()),
+        coordination: Some(settings),
         floor: file.floor,
         labels: file.labels,
         ..deployment::Config::new(file.resolution)

@@ -89,7 +89,8 @@ impl Coordinator {
         match checked {
             Ok(index) => {
                 let member = &mut self.members[index];
-                (member.goal, member.target, member.trouble) = (Some(goal), None, None);
+                (member.goal, member.target, member.refuge) = (Some(goal), None, None);
+                member.trouble = None;
                 member.set_out(now);
                 self.reservations.drop_ahead(index);
             }
@@ -104,7 +105,7 @@ impl Coordinator {
         let Ok(index) = self.index(robot) else { return false };
         let member = &mut self.members[index];
         member.explores = explores;
-        if !explores && member.target.take().is_some() {
+        if !explores && (member.target.take().is_some() || member.refuge.take().is_some()) {
             self.reservations.drop_ahead(index);
         }
         true
@@ -114,7 +115,8 @@ impl Coordinator {
     pub fn end_errand(&mut self, robot: RobotId) {
         let Ok(index) = self.index(robot) else { return };
         let member = &mut self.members[index];
-        (member.goal, member.target, member.trouble) = (None, None, None);
+        (member.goal, member.target, member.refuge) = (None, None, None);
+        member.trouble = None;
         self.reservations.drop_ahead(index);
     }
 

@@ -13,6 +13,8 @@ pub enum Errand {
     Idle,
     /// It may explore, and no ground is left that it could look at now.
     Waits,
+    /// It may explore, finds nothing to look at, and returns into the cameras' view, to that place.
+    Returns([f64; 2]),
     /// It drives to a goal in `map`, in metres.
     Goal([f64; 2]),
     /// There is no way to its goal at present.
@@ -40,6 +42,7 @@ impl Coordinator {
             (Some(goal), _) if member.is_told => Errand::NoWay(goal),
             (Some(goal), _) => Errand::Goal(goal),
             (None, Some(frontier)) => Errand::Looks(frontier),
+            (None, None) if member.refuge.is_some() => Errand::Returns(member.refuge.map(place)?),
             (None, None) if member.explores => Errand::Waits,
             (None, None) => Errand::Idle,
         })
@@ -54,6 +57,9 @@ impl fmt::Display for Errand {
             Self::Goal([x, y]) => write!(f, "drives to {x:.2} m, {y:.2} m"),
             Self::NoWay([x, y]) => write!(f, "has no way to {x:.2} m, {y:.2} m"),
             Self::Looks([x, y]) => write!(f, "explores: looks at {x:.2} m, {y:.2} m"),
+            Self::Returns([x, y]) => {
+                write!(f, "explores; finds nothing to look at, and returns to {x:.2} m, {y:.2} m")
+            }
             Self::Blocked(1) => write!(f, "was blocked, and gets another path"),
             Self::Blocked(times) => {
                 write!(f, "was blocked {times} times in a row; tries again soon")

@@ -22,6 +22,7 @@ impl Coordinator {
         }
         self.drop_targets(now);
         self.assign_targets(&ground, now);
+        self.send_back(&ground, now);
         self.ground = Some(ground);
     }
 
@@ -49,10 +50,7 @@ impl Coordinator {
     fn assign_targets(&mut self, ground: &Ground, now: Instant) {
         let taken: Vec<Target> = self.members.iter().filter_map(|member| member.target).collect();
         let open = self.open_frontiers(&taken);
-        let is_idle = |index: &usize| {
-            let member = &self.members[*index];
-            member.explores && member.destination().is_none() && member.can_drive()
-        };
+        let is_idle = |index: &usize| self.members[*index].is_idle();
         let idle: Vec<usize> = (0..self.members.len()).filter(is_idle).collect();
         if idle.is_empty() || open.is_empty() {
             return;
@@ -64,9 +62,45 @@ impl Coordinator {
             given.extend(self.look_again(ground, &open, &idle, &tried));
         }
         for (index, target) in given {
-            self.members[index].target = Some(target);
-            self.members[index].set_out(now);
+            let member = &mut self.members[index];
+            (member.target, member.refuge) = (Some(target), None);
+            member.set_out(now);
             self.reservations.drop_ahead(index);
+        }
+    }
+
+    /// Sends robots that find nothing to look at back into the cameras' view, where their poses do not drift and
+    /// they are in nobody's way: each to the nearest place that no other robot stands on or is to cross.
+    fn send_back(&mut self, ground: &Ground, now: Instant) {
+        let Some(returns_after) = self.settings.exploration.returns_after else { return };
+        for index in 0..self.members.len() {
+            let radius = self.members[index].radius_m;
+            let place = self.reservations.claim(index).position();
+            let stays = !self.members[index].is_idle()
+                || ground.is_in_view(&Disc { centre: place, radius });
+            let member = &mut self.members[index];
+            if stays {
+                member.idle_since = None;
+                continue;
+            }
+            let idle_since = *member.idle_since.get_or_insert(now);
+            if member.refuge.is_some() || now.since(idle_since) < returns_after {
+                continue;
+            }
+            // If there is no such place, it looks for one again after a while.
+            member.idle_since = Some(now);
+            let approach = self.approach(ground, index, &[]);
+            let suits = |at| {
+                let disc = Disc { centre: ground.place(at), radius };
+                approach.terrain.is_open(at) && !approach.in_the_way[at] && ground.is_in_view(&disc)
+            };
+            let route = approach.terrain.nearest(approach.from, suits);
+            if let Some(refuge) = route.and_then(|route| route.last().copied()) {
+                let member = &mut self.members[index];
+                member.refuge = Some(refuge);
+                member.set_out(now);
+                self.reservations.drop_ahead(index);
+            }
         }
     }
 
@@ -190,7 +224,9 @@ impl Coordinator {
 
     /// Gives up a robot's frontier until then.
     pub(super) fn put_off_target(&mut self, index: usize, until: Instant) {
-        if let Some(target) = self.members[index].target.take() {
+        let member = &mut self.members[index];
+        (member.refuge, member.idle_since) = (None, None);
+        if let Some(target) = member.target.take() {
             self.tried.push(Tried::new(&target, until));
         }
     }

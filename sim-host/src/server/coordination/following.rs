@@ -99,10 +99,10 @@ impl Coordinator {
             match &mut member.target {
                 _ if !is_there => {}
                 Some(target) => drop(target.reached.get_or_insert(now)),
-                None => {
-                    member.goal = None;
+                None if member.goal.take().is_some() => {
                     self.notices.push_back((member.id, Notice::Reached));
                 }
+                None => member.refuge = None,
             }
             return;
         }

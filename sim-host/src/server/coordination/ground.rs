@@ -36,6 +36,8 @@ pub(super) struct Ground {
     cells: Vec<Cell>,
     /// Whether the cell is unknown and out of view of the cameras.
     blind: Vec<bool>,
+    /// Whether a camera sees the cell.
+    covered: Vec<bool>,
     /// Whether the cell is known, or near a robot: a robot's own planner keeps its centre on known ground.
     trusted: Vec<bool>,
     /// Squared distances in cells, to the nearest wall (an occupied cell, or one deep in unknown
@@ -77,6 +79,7 @@ impl Ground {
             width,
             cells: vec![Cell::Unknown; cells],
             blind: vec![true; cells],
+            covered: vec![false; cells],
             trusted: Vec::new(),
             walls: Vec::new(),
             movable: Vec::new(),
@@ -103,6 +106,7 @@ impl Ground {
                 let is_covered = covered.is_some_and(|(_, it)| it.cell(x, y) == Cell::Free);
                 self.cells[at] = cell;
                 self.blind[at] = cell == Cell::Unknown && !is_covered;
+                self.covered[at] = is_covered;
             }
         }
     }
@@ -186,6 +190,16 @@ impl Ground {
     /// Whether the cell is unknown and out of view of the cameras.
     pub(super) fn is_blind(&self, at: usize) -> bool {
         self.blind[at]
+    }
+
+    /// Whether cameras see nearly all of a disc; what stands on it hides some cells.
+    pub(super) fn is_in_view(&self, disc: &Disc) -> bool {
+        let (mut seen, mut all) = (0, 0);
+        self.within(disc, |at| {
+            seen += usize::from(self.covered[at]);
+            all += 1;
+        });
+        all > 0 && 4 * seen >= 3 * all
     }
 
     /// Squared distance, in cells, to the nearest wall or cell deep in unknown ground.

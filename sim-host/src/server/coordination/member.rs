@@ -25,6 +25,10 @@ pub(super) struct Member {
     /// The goal given by a user; it takes precedence over frontiers.
     pub(super) goal: Option<Point>,
     pub(super) target: Option<Target>,
+    /// Where the robot waits in the cameras' view, while it has neither goal nor target.
+    pub(super) refuge: Option<Point>,
+    /// Since when it has had nothing to do.
+    pub(super) idle_since: Option<Instant>,
     /// When the robot was told to stop in order to get another route; `None` if it was not.
     pub(super) halted: Option<Instant>,
     /// Where the robot was last blocked.
@@ -66,6 +70,8 @@ impl Member {
             explores: false,
             goal: None,
             target: None,
+            refuge: None,
+            idle_since: None,
             halted: None,
             trouble: None,
             held_up: None,
@@ -111,9 +117,14 @@ impl Member {
         now.since(self.still_since)
     }
 
-    /// The robot's goal, or the viewpoint of its target.
+    /// The robot's goal, or the viewpoint of its target, or its refuge.
     pub(super) fn destination(&self) -> Option<Point> {
-        self.goal.or(self.target.map(|target| target.view))
+        self.goal.or(self.target.map(|target| target.view)).or(self.refuge)
+    }
+
+    /// Whether the robot may be given something to look at.
+    pub(super) fn is_idle(&self) -> bool {
+        self.explores && self.goal.is_none() && self.target.is_none() && self.can_drive()
     }
 
     /// Whether a place is close enough to the robot's destination.

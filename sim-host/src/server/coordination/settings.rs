@@ -366,6 +366,9 @@ pub struct ExplorationRules {
     pub patience: Duration,
     /// Time for which a frontier that was given up for lack of a way is not tried again.
     pub put_off: Duration,
+    /// Time after which a robot that finds nothing to look at returns to where cameras see it; `None` to
+    /// stay where it is.
+    pub returns_after: Option<Duration>,
 }
 
 impl Default for ExplorationRules {
@@ -380,6 +383,7 @@ impl Default for ExplorationRules {
             most_looks: 3,
             patience: Duration::from_secs(2),
             put_off: Duration::from_secs(20),
+            returns_after: None,
         }
     }
 }

@@ -6,7 +6,7 @@ use super::{
     floor::{Floor, RADIUS_M, id},
     plan::{Plan, middle, set},
 };
-use crate::server::coordination::{Notice, ground::Point};
+use crate::server::coordination::{Errand, Notice, ground::Point};
 
 /// Corridors and rooms, 12 m by 8 m.
 fn maze() -> Plan {
@@ -27,6 +27,37 @@ fn exploring(plan: Plan, starts: &[Point], seed: u64) -> Floor {
         assert!(floor.coordinator.set_exploring(id(index), true));
     }
     floor
+}
+
+/// Cameras see the western half; the robots look at what is hidden in the east, and return.
+#[test]
+fn robots_return_into_view_when_nothing_is_left_to_look_at() {
+    let plan = Plan::room(8.0, 4.0);
+    let starts = [Point::new(1.0, 1.0), Point::new(1.0, 3.0)];
+    let mut floor = exploring(plan, &starts, 1);
+    let seen: Vec<_> = floor.plan.places().filter(|it| middle(*it).x < 4.0).collect();
+    set(&mut floor.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
+    let mut farthest = 0.0_f64;
+    let mut run = |floor: &mut Floor, seconds| {
+        floor.run(seconds, |floor| {
+            floor.look_around();
+            farthest = floor.bodies.iter().map(|body| body.place.x).fold(farthest, f64::max);
+            false
+        });
+        farthest
+    };
+    assert!(run(&mut floor, 60) > 4.5, "they have looked");
+    for (index, body) in floor.bodies.iter().enumerate() {
+        assert!(body.place.x < 4.0, "{}", body.place);
+        assert_eq!(floor.coordinator.errand(id(index)), Some(Errand::Waits));
+    }
+    assert_eq!(floor.count(Notice::Reached), 0, "nobody has sent them");
+    // A goal of a user keeps them where they are sent.
+    floor.coordinator.goal(id(0), 7.0, 2.0, floor.now).unwrap();
+    assert!(floor.run(60, |floor| floor.count(Notice::Reached) == 1));
+    assert!(!floor.run(3, |floor| floor.bodies[0].place.x < 6.0));
+    assert!(floor.run(40, |floor| floor.bodies[0].place.x < 4.0), "it explores still");
+    assert!(!floor.is_blocked());
 }
 
 /// Runs until all ground is known, or for a limited time. Checks that no two robots go to the same

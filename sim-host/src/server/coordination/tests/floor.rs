@@ -16,7 +16,10 @@ use crate::{
     mapping::ServedLayer,
     server::{
         Command, Footprint,
-        coordination::{Coordinator, Notice, Settings, Situation, Whereabouts, ground::Point},
+        coordination::{
+            Coordinator, Notice, Settings, Situation, Whereabouts, ground::Point,
+            settings::ExplorationRules,
+        },
     },
 };
 
@@ -49,6 +52,7 @@ pub(super) struct Floor {
     /// Positions of people, and their speeds along x.
     pub(super) people: Vec<(Point, f64)>,
     pub(super) fused: ServedLayer,
+    pub(super) coverage: ServedLayer,
     pub(super) now: Instant,
     pub(super) notices: Vec<(Instant, RobotId, Notice)>,
     /// Number of pairs of robots whose discs overlapped, and of robots in walls, each summed over
@@ -102,6 +106,10 @@ impl Floor {
             view_m: 2.0,
             range_m: RANGE_M,
             look: Duration::from_millis(1_500),
+            exploration: ExplorationRules {
+                returns_after: Some(Duration::from_secs(4)),
+                ..ExplorationRules::default()
+            },
             ..Settings::default()
         };
         let mut floor = Self {
@@ -110,6 +118,7 @@ impl Floor {
             bodies,
             people: Vec::new(),
             fused,
+            coverage: ServedLayer::default(),
             now: Instant(0),
             notices: Vec::new(),
             overlaps: 0,
@@ -251,10 +260,9 @@ impl Floor {
             radius: 250,
         };
         let obstacles: Vec<Obstacle> = self.people.iter().map(obstacle).collect();
-        let coverage = ServedLayer::default();
         let situation = Situation {
             fused: &self.fused,
-            coverage: &coverage,
+            coverage: &self.coverage,
             robots: &robots,
             obstacles: &obstacles,
         };
