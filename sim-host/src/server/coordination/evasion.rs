@@ -26,11 +26,11 @@ pub(super) fn make_way<'a>(
     let mut planned = reservations.clone();
     planned.plan(robot, route);
     let way = planned.claim(robot).ahead().to_vec();
-    let disc_m = planned.claim(robot).disc_m();
     // The standing robots on the route, each with the last point of the route that it blocks.
     let mut standing: Vec<(usize, usize)> = Vec::new();
     for (other, claim) in planned.claims().iter().enumerate() {
-        let is_met = |point: &Point| is_crossed(&[*point], claim.held(), disc_m + claim.disc_m());
+        let reach = planned.claim(robot).reach(claim);
+        let is_met = |point: &Point| is_crossed(&[*point], claim.held(), reach);
         if other != robot && claim.is_all_granted() {
             standing.extend(way.iter().rposition(is_met).map(|along| (along, other)));
         }

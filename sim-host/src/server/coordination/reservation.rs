@@ -22,6 +22,9 @@ use super::{ground::Point, route::SPACING_M, settings::GrantingRules};
 /// because a route may cross itself.
 const SEARCHED_POINTS: usize = 8;
 
+/// How much closer two robots may come that are too close to each other already, in metres.
+const SIDEWAYS_M: f64 = 0.05;
+
 /// The ground that one robot holds, and the rest of its route.
 #[derive(Clone, Debug)]
 pub(super) struct Claim {
@@ -63,6 +66,15 @@ impl Claim {
 
     pub(super) fn disc_m(&self) -> f64 {
         self.disc_m
+    }
+
+    /// Distance that this robot and another one keep, in metres. Robots that have stopped closer to each other, as
+    /// when the server was away, may drive apart: they would hold each other up for ever.
+    pub(super) fn reach(&self, other: &Self) -> f64 {
+        let usual = self.disc_m + other.disc_m;
+        let apart = (self.position - other.position).norm();
+        // A route, in cells, may begin a little sideways.
+        usual.min((apart - SIDEWAYS_M).max(apart.min(usual / 2.0)))
     }
 
     /// The end of the granted part of the route.
@@ -254,7 +266,7 @@ impl Reservations {
         let count = self.claims.len();
         for other in (0..count).filter(|other| *other != robot) {
             let (mine, its) = (&self.claims[robot], &self.claims[other]);
-            let reach = mine.disc_m + its.disc_m;
+            let reach = mine.reach(its);
             let it_first = is_crossed(mine.ahead(), its.held(), reach)
                 || is_crossed(its.ahead(), [mine.end()], reach);
             let me_first = is_crossed(its.ahead(), mine.held(), reach)
@@ -323,7 +335,7 @@ impl Reservations {
                 return Held::ByOthers;
             }
             let mut others = self.claims.iter().enumerate().filter(|(other, _)| *other != robot);
-            if others.any(|(_, it)| is_crossed(&[next], it.held(), claim.disc_m + it.disc_m)) {
+            if others.any(|(_, it)| is_crossed(&[next], it.held(), claim.reach(it))) {
                 return Held::ByRobots;
             }
             self.claims[robot].granted += 1;
@@ -406,6 +418,24 @@ mod tests {
         all.extend(1, 9.0, |_| false);
         assert!(all.claim(1).granted_end().x > 4.7, "{}", all.claim(1).granted_end());
         assert_eq!(all.extend(0, 9.0, |_| false), Held::NotAtAll);
+    }
+
+    #[test]
+    fn robots_that_stand_too_close_drive_apart() {
+        let mut all = of(&[at(0.0, 0.0), at(0.5, 0.0)]);
+        assert!(!all.admit(&[(0, vec![at(0.0, 0.0), at(2.0, 0.0)])]), "through the other robot");
+        assert!(all.admit(&[(0, vec![at(0.0, 0.0), at(-1.0, 0.5)])]));
+        assert!(all.admit(&[(1, vec![at(0.5, 0.0), at(0.5, 3.0)])]));
+        for robot in [0, 1] {
+            assert_eq!(all.extend(robot, 9.0, |_| false), Held::NotAtAll);
+        }
+        // Apart from each other they keep the usual distance again.
+        for robot in [0, 1] {
+            let end = all.claim(robot).end();
+            all.claim_mut(robot).advance(end);
+            all.claim_mut(robot).arrive();
+        }
+        assert_eq!(all.claim(0).reach(all.claim(1)), 0.8);
     }
 
     /// Robots at random places with random routes. In any order of granting ground, all robots must

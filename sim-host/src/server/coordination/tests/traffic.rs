@@ -166,6 +166,20 @@ fn a_dead_robot_in_the_door_causes_one_notice_per_robot() {
     assert_eq!(floor.count(Notice::NoWay), 2);
 }
 
+/// As when the server was killed while they drove: closer than they are let come.
+#[test]
+fn robots_that_have_stopped_close_together_reach_their_goals() {
+    for (x, y) in [(0.58, 0.0), (0.0, 0.6), (0.45, 0.4), (-0.6, 0.1)] {
+        let starts = [Point::new(4.0, 2.5), Point::new(4.0 + x, 2.5 + y)];
+        let mut floor = Floor::new(Plan::room(8.0, 5.0), &starts, 1, |_| false);
+        floor.coordinator.goal(id(0), 1.0, 2.5, floor.now).unwrap();
+        floor.coordinator.goal(id(1), 1.0, 4.0, floor.now).unwrap();
+        let arrive = |floor: &mut Floor| floor.count(Notice::Reached) == 2;
+        assert!(floor.run(60, arrive), "{x} {y}: {:?}", floor.notices);
+        assert_eq!(floor.collisions, 0);
+    }
+}
+
 /// A robot that a user has stopped is not sent aside, and forgets its goal.
 #[test]
 fn a_stopped_robot_stays_where_it_is() {
