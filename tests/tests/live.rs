@@ -239,10 +239,15 @@ impl System {
     }
 }
 
-/// The newest poses of a report's robots: number, server's time, and pose.
+/// The newest poses of a report's robots, except those that the server seeks: number, server's time, and pose.
 fn poses(report: &Value) -> impl Iterator<Item = (u16, f64, [f64; 3])> {
+    let robots = report["robots"].as_array().unwrap();
+    let is_sought = |number: &Value| {
+        robots.iter().any(|robot| robot["robot"] == *number && robot["is_sought"] == true)
+    };
     let ports = report["ports"].as_array().unwrap().iter();
-    ports.filter(|port| port["session"] == true).filter_map(|port| {
+    let is_known = move |port: &&Value| port["session"] == true && !is_sought(&port["robot"]);
+    ports.filter(is_known).filter_map(|port| {
         let state = &port["state"];
         let pose = state["pose"].as_array()?;
         let pose = [0, 1, 2].map(|axis| pose[axis].as_f64().unwrap());

@@ -19,6 +19,8 @@ pub struct ServedRobot {
     pub pose: Option<[f64; 3]>,
     /// The age of that pose in seconds.
     pub pose_s_ago: Option<f64>,
+    /// Whether it has booted out of view, where nothing has told yet where it is: its pose is the one before.
+    pub is_sought: bool,
     /// What it is doing, as a sentence that starts with the robot.
     pub doing: String,
 }
@@ -32,6 +34,9 @@ impl fmt::Display for ServedRobot {
                 write!(f, "at {x:.2} m, {y:.2} m, {heading:.0} degrees, {age:.1} s ago")?;
             }
             _ => write!(f, "never seen by a camera")?,
+        }
+        if self.is_sought {
+            write!(f, ", if it has not moved since it booted")?;
         }
         write!(f, "; {}", self.doing)?;
         match (&self.port, self.heard_s_ago) {

@@ -137,6 +137,11 @@ impl Server {
         self.dispatch.as_ref()?.errand(robot)
     }
 
+    /// Whether a robot has booted out of view, where nothing has told yet where it is.
+    pub fn is_sought(&self, robot: RobotId) -> bool {
+        self.corrections.is_sought(robot)
+    }
+
     /// The newest pose of a robot, from cameras or its own reports, and its time.
     pub fn last_pose(&self, robot: RobotId) -> Option<(Instant, Pose)> {
         self.surroundings.place(robot).map(|place| (place.moment, place.pose))

@@ -50,6 +50,7 @@ pub(super) fn robots(
                 let [x, y] = [pose.x, pose.y].map(Millimetres::metres);
                 [x, y, pose.heading.degrees()]
             }),
+            is_sought: session && server.is_sought(robot),
             pose_s_ago: newest.map(|(at, _)| seconds(moment.since(at))),
             doing,
         }

@@ -84,6 +84,11 @@ impl BlindTrip {
         Self { booted, way_mm, ..Self::after(Duration::default(), place.pose) }
     }
 
+    /// Whether the robot has booted and was not found yet.
+    pub(super) fn is_sought(&self) -> bool {
+        self.booted.is_some()
+    }
+
     /// Adds points to the trail. Called while the robot has only just left the view, so that its
     /// pose is still accurate.
     pub(super) fn remember(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {

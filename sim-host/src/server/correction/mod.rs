@@ -69,6 +69,11 @@ impl Corrections {
         self.robots.entry(robot).or_default().seek(about);
     }
 
+    /// Whether a robot has booted out of view and was not found yet.
+    pub(super) fn is_sought(&self, robot: RobotId) -> bool {
+        self.robots.get(&robot).is_some_and(RobotCorrection::is_sought)
+    }
+
     /// The robot whose distance vector has waited longest.
     pub(super) fn poll_waiting(&mut self) -> Option<RobotId> {
         self.waiting.pop_front()

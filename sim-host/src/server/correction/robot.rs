@@ -84,6 +84,11 @@ impl RobotCorrection {
         self.blind = Some(BlindTrip::about(about));
     }
 
+    /// Whether the robot has booted out of view and was not found yet.
+    pub(super) fn is_sought(&self) -> bool {
+        self.blind.as_ref().is_some_and(BlindTrip::is_sought)
+    }
+
     /// Processes a distance vector of the robot. Cost: some milliseconds.
     pub(super) fn look(
         &mut self,
