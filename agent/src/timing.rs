@@ -38,9 +38,6 @@ pub(crate) const BLIND_AFTER: Duration = Duration::from_millis(350);
 pub(crate) const SCAN_LATE: Duration = Duration::from_millis(1_500);
 /// Maximum age of a scan that the robot drives by: within it a robot at 1 m/s drives half a metre.
 pub(crate) const SCAN_STALE: Duration = Duration::from_millis(500);
-/// If the stored pose is newer than a later scan by more than this, its time is from before the
-/// clocks were synchronised.
-pub(crate) const CLOCKS_DISAGREE: Duration = Duration::from_secs(10);
 
 // The map.
 

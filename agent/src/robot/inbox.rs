@@ -24,7 +24,6 @@ impl Mapper<'_> {
             // A restarted server has another clock, so times by the old clock mean nothing now.
             self.clock = ClockSync::default();
             self.commands.forget();
-            self.latest_pose = None;
         }
         let pool = &mut self.map.pool;
         pool.begin_session(welcome.stores, same_server);
@@ -149,8 +148,10 @@ impl Mapper<'_> {
                         }
                         FixOutcome::Began | FixOutcome::Taken => {}
                     }
-                    if self.latest_pose.is_none_or(|(latest, _)| latest < moment) {
-                        self.latest_pose = Some((moment, pose));
+                    if let Some(local) = local
+                        && self.latest_pose.is_none_or(|(latest, _)| latest < local)
+                    {
+                        self.latest_pose = Some((local, pose));
                     }
                 }
                 Err(FixError::Repeated | FixError::Unused) => {}

@@ -21,6 +21,7 @@ pub(super) struct Mapper<'b> {
     pub(super) locator: Locator,
     /// The server's clock, once synchronised.
     pub(super) clock: ClockSync,
+    /// The newest known pose and its time by the robot's clock.
     pub(super) latest_pose: Option<(Instant, Pose)>,
     /// Whether the newest scan was dropped because its pose was unknown.
     pub(super) lost: bool,

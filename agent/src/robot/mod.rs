@@ -364,10 +364,11 @@ impl<'b, D: Drive> Robot<'b, D> {
         &self.mapper.fused
     }
 
-    /// The newest known pose and its time. The time is by the server's clock, or by the robot's if
-    /// the pose came from odometry before the clocks were synchronised.
+    /// The newest known pose and its time: by the server's clock, or by the robot's until the clocks are
+    /// synchronised.
     pub fn pose(&self) -> Option<(Instant, Pose)> {
-        self.mapper.latest_pose
+        let to_server = |moment| self.mapper.clock.to_server(moment).unwrap_or(moment);
+        self.mapper.latest_pose.map(|(moment, pose)| (to_server(moment), pose))
     }
 
     /// `base_link` in `map` at `moment` (robot's clock), by what is known now, and the standard

@@ -15,7 +15,6 @@ use crate::{
     map::{PeerMasks, ScanContext, Selected, Surround},
     sense::{Beam, Columns, ScanError, WaitingScans},
     share::DistanceVectors,
-    timing::CLOCKS_DISAGREE,
 };
 
 /// A scan whose pose is known.
@@ -54,7 +53,7 @@ impl Mapper<'_> {
             // The scan would add nothing, but tells that the robot is still there: the others must know,
             // lest they draw it.
             if let Some(pose) = pose {
-                self.keep_pose(self.clock.to_server(taken).unwrap_or(taken), pose);
+                self.keep_pose(taken, pose);
             }
             self.statistics.scans = self.statistics.scans.wrapping_add(1);
             self.statistics.gated = self.statistics.gated.wrapping_add(1);
@@ -127,7 +126,7 @@ impl Mapper<'_> {
             self.outbox.events.raise(EventCode::PoseFound, now);
         }
         let server_moment = self.clock.to_server(taken);
-        self.keep_pose(server_moment.unwrap_or(taken), pose);
+        self.keep_pose(taken, pose);
         let is_shaken = self.steadiness.is_shaken(taken);
         if variances.is_none() {
             self.statistics.unsure = self.statistics.unsure.wrapping_add(1);
@@ -138,13 +137,10 @@ impl Mapper<'_> {
         (!is_shaken).then_some(PlacedScan { taken, server_moment, pose, variances, is_blind })
     }
 
-    /// Stores the newest pose, and moves the window of the server's tiles with it.
-    fn keep_pose(&mut self, moment: Instant, pose: Pose) {
-        let is_newer = |(newest, _): (Instant, Pose)| {
-            newest < moment || newest.since(moment) > CLOCKS_DISAGREE
-        };
-        if self.latest_pose.is_none_or(is_newer) {
-            self.latest_pose = Some((moment, pose));
+    /// Stores the pose of a scan if it is the newest, and moves the window of the server's tiles with it.
+    fn keep_pose(&mut self, taken: Instant, pose: Pose) {
+        if self.latest_pose.is_none_or(|(newest, _)| newest < taken) {
+            self.latest_pose = Some((taken, pose));
         }
         self.fused.follow(pose, self.settings.resolution);
     }

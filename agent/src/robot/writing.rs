@@ -60,11 +60,9 @@ impl Mapper<'_> {
         }
         if self.outbox.next_state <= now {
             self.outbox.next_state = now + STATE_INTERVAL;
-            // Until the clocks agree, the newest pose may have a time of the robot's own clock.
-            let agree = self.clock.to_server(now).is_some();
             // The smallest frames have no room for both poses, so one or both may be left out.
             let _ = writer.push_longest(0..=2, |poses| State {
-                time: self.latest_pose.map(|(moment, _)| moment).filter(|_| agree),
+                time: self.latest_pose.and_then(|(moment, _)| self.clock.to_server(moment)),
                 pose: self.latest_pose.map(|(_, pose)| pose).filter(|_| poses > 0),
                 odometry: self.locator.newest_odometry().filter(|_| poses > 1),
                 cells_refused: self.statistics.cells_refused,
