@@ -7,7 +7,10 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    mapping::{Match, Prior, Search, Surfaces, Trail, submaps::motion},
+    mapping::{
+        Match, Prior, Search, Surfaces, Trail,
+        submaps::{Motion, motion},
+    },
     server::{shared_map::SharedMap, surroundings::Place},
 };
 
@@ -23,6 +26,9 @@ const UNHEARD_M: f64 = 6.0;
 
 /// Distance and angle (5 degrees) within which two views of a robot that has booted lead to one place.
 const SAME: (Millimetres, Angle) = (Millimetres(150), Angle(910));
+
+/// Distance and angle (20 degrees) within which two views are so much alike that they are mistaken together.
+const ALIKE: (Millimetres, Angle) = (Millimetres(300), Angle(3_641));
 
 /// The time that a robot spends out of the cameras' view.
 #[derive(Debug)]
@@ -50,7 +56,7 @@ struct Booted {
 
 impl Booted {
     /// Finds the robot's pose about the place where it believes to be: there, if it stood and sees what is to
-    /// be seen from there; otherwise in any heading, if two views in a row lead to one place.
+    /// be seen from there; otherwise in any heading, if two different views in a row lead to one place.
     fn find(&mut self, surfaces: &Surfaces, points: &[[f64; 2]], believed: Pose) -> Option<Match> {
         if let Some(found) =
             self.stood.then(|| surfaces.find_where_it_stood(points, believed)).flatten()
@@ -58,14 +64,21 @@ impl Booted {
             return Some(found);
         }
         let found = surfaces.find_in_any_heading(points, believed)?;
-        let last = self.last.replace((found.pose, believed));
-        let is_confirmed = last.is_some_and(|(seen, from)| {
-            let here = motion(seen) * motion(from).inverse() * motion(believed);
-            let off = here.inverse() * motion(found.pose);
-            off.translation.vector.norm() <= SAME.0.metres()
-                && off.rotation.angle().abs() <= SAME.1.radians()
-        });
-        is_confirmed.then_some(found)
+        let Some((seen, from)) = self.last else {
+            self.last = Some((found.pose, believed));
+            return None;
+        };
+        let is_within = |motion: &Motion, (way, turn): (Millimetres, Angle)| {
+            motion.translation.vector.norm() <= way.metres()
+                && motion.rotation.angle().abs() <= turn.radians()
+        };
+        let moved = motion(from).inverse() * motion(believed);
+        if is_within(&moved, ALIKE) {
+            return None;
+        }
+        self.last = Some((found.pose, believed));
+        let off = (motion(seen) * moved).inverse() * motion(found.pose);
+        is_within(&off, SAME).then_some(found)
     }
 }
 
