@@ -22,8 +22,11 @@ use super::{ground::Point, route::SPACING_M, settings::GrantingRules};
 /// because a route may cross itself.
 const SEARCHED_POINTS: usize = 8;
 
-/// How much closer two robots may come that are too close to each other already, in metres.
-const SIDEWAYS_M: f64 = 0.05;
+/// How much closer than usual two robots are that hold each other up, in metres; less is for the errors of poses.
+const TOO_CLOSE_M: f64 = 0.05;
+/// How much closer one point of such a robot's route may be than it is itself, in metres: less than the way to
+/// it, so that no route leads closer.
+const TANGENT_M: f64 = 0.01;
 
 /// The ground that one robot holds, and the rest of its route.
 #[derive(Clone, Debug)]
@@ -73,8 +76,7 @@ impl Claim {
     pub(super) fn reach(&self, other: &Self) -> f64 {
         let usual = self.disc_m + other.disc_m;
         let apart = (self.position - other.position).norm();
-        // A route, in cells, may begin a little sideways.
-        usual.min((apart - SIDEWAYS_M).max(apart.min(usual / 2.0)))
+        if apart < usual - TOO_CLOSE_M { apart - TANGENT_M } else { usual }
     }
 
     /// The end of the granted part of the route.
