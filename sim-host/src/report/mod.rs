@@ -21,6 +21,7 @@ mod points;
 mod served_robot;
 mod serving;
 mod summary;
+mod unexplored_ground;
 mod vision;
 mod watching;
 
@@ -53,6 +54,7 @@ pub use summary::{
     CalibrationErrors, DrivingSummary, HexDigest, MapSummary, Pixels, PoseErrors, Report,
     RobotSummary, TruthScores,
 };
+pub use unexplored_ground::UnexploredGround;
 pub use vision::{ScaleRow, VisionBand, VisionSummary};
 pub use watching::{
     CameraSummary, PassedEvent, SeenFloor, SeenMap, SeenRobot, SeenThing, WatchReport,

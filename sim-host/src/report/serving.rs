@@ -4,7 +4,9 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::{CameraMove, HexDigest, SeenMap, ServedRobot, TrackedPerson, link::LinkSummary};
+use super::{
+    CameraMove, HexDigest, SeenMap, ServedRobot, TrackedPerson, UnexploredGround, link::LinkSummary,
+};
 use crate::grid::Scores;
 
 /// Results of serving robots on serial ports and sockets, with or without cameras.
@@ -31,6 +33,8 @@ pub struct ServeReport {
     pub camera_moves: Vec<CameraMove>,
     /// The map, if a deployment's file is served.
     pub map: Option<SeenMap>,
+    /// What is left to explore, if robots explore.
+    pub unexplored: Vec<UnexploredGround>,
     /// The agreement of the map with the floor plan, if there is one.
     pub plan: Option<Scores>,
     /// Duration of the run in seconds.
@@ -243,6 +247,7 @@ impl fmt::Display for ServeReport {
             let area = |cells: u64| cells as f64 * map.resolution_m * map.resolution_m;
             writeln!(f, "{:.1} m2 known, {:.1} m2 in view", area(map.known), area(map.in_view))?;
         }
+        self.unexplored.iter().try_for_each(|ground| writeln!(f, "{ground}"))?;
         if let Some(Scores { precision, recall, tolerance_m, .. }) = self.plan {
             writeln!(
                 f,

@@ -12,6 +12,7 @@ use super::{
     link::LinkSummary,
     people::{RisingSummary, TrackedPerson},
     points::{ExposureSummary, PointsSummary},
+    unexplored_ground::UnexploredGround,
     vision::VisionSummary,
 };
 
@@ -86,6 +87,9 @@ pub struct Report {
     /// The movements of cameras that were noticed, in order of time; left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub camera_moves: Vec<CameraMove>,
+    /// What is left to explore, the largest ground first; left out if nothing is, or if nobody leads the robots.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub unexplored: Vec<UnexploredGround>,
 }
 
 /// Results of one robot.
@@ -279,6 +283,7 @@ impl Report {
             risings: Vec::new(),
             people: Vec::new(),
             camera_moves: Vec::new(),
+            unexplored: Vec::new(),
         }
     }
 
@@ -434,6 +439,9 @@ impl Report {
         }
         for moved in &self.camera_moves {
             writeln!(f, "{moved}")?;
+        }
+        for ground in &self.unexplored {
+            writeln!(f, "{ground}")?;
         }
         Ok(())
     }

@@ -12,6 +12,7 @@ use crate::{
     grid::OccupancyGrid,
     report::{
         CameraMove, Comparison, HexDigest, LinkSummary, MapSummary, Pixels, Report, RobotSummary,
+        UnexploredGround,
     },
     server::{EventLog, MessageCounters},
 };
@@ -48,6 +49,18 @@ pub(super) fn report(
     let mut comparison = Comparison::default();
     fleet.robots().iter().for_each(|robot| comparison.add(&robot.comparison()));
     Report::new(seed, robots, map, comparison)
+}
+
+/// What is left to explore, the largest ground first.
+pub(super) fn unexplored(deployment: &Deployment) -> Vec<UnexploredGround> {
+    let mut left = deployment.server().unexplored();
+    left.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
+    let ground = left.into_iter().map(|it| UnexploredGround {
+        place: it.place_m,
+        area_m2: it.area_m2,
+        why: it.why.to_string(),
+    });
+    ground.collect()
 }
 
 /// The movements of cameras that a deployment has noticed.

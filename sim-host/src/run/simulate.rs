@@ -160,6 +160,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     report.truth = Some(scoring::score(&map, stage.world())?);
     report.calibration = calibration_errors;
     report.camera_moves = figures::camera_moves(fleet.deployment());
+    report.unexplored = figures::unexplored(fleet.deployment());
     report.pose = Some(scoring::pose_errors(&fleet, stage.tracks()));
     let sighted = scoring::sighting_errors(&fleet, stage.tracks());
     report.sighted = (!options.ideal_cameras).then_some(sighted);

@@ -7,7 +7,8 @@ use ubimap_protocol::{message::EventCode, time::Instant, units::RobotId};
 use super::{
     command::Command,
     coordination::{
-        Coordinator, DrivableFloor, Errand, GoalError, Notice, Settings, Situation, Whereabouts,
+        Coordinator, DrivableFloor, Errand, GoalError, Notice, Settings, Situation, Unexplored,
+        Whereabouts,
     },
     snapshot::Snapshot,
 };
@@ -66,6 +67,11 @@ impl Dispatch {
     /// What a robot is doing.
     pub(super) fn errand(&self, robot: RobotId) -> Option<Errand> {
         self.coordinator.errand(robot)
+    }
+
+    /// What is left to explore.
+    pub(super) fn unexplored(&self) -> Vec<Unexplored> {
+        self.coordinator.unexplored()
     }
 
     /// Passes on an event that a robot reported.

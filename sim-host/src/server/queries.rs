@@ -11,7 +11,8 @@ use ubimap_protocol::{
 
 use super::{
     Server,
-    coordination::Errand,
+    coordination::{Errand, Unexplored},
+    dispatch::Dispatch,
     events::{EventLog, PersonEvent, RobotEvent, Tally},
     port::{MessageCounters, Port},
     session::Session,
@@ -135,6 +136,11 @@ impl Server {
     /// known.
     pub fn errand(&self, robot: RobotId) -> Option<Errand> {
         self.dispatch.as_ref()?.errand(robot)
+    }
+
+    /// What is left to explore, if robots explore.
+    pub fn unexplored(&self) -> Vec<Unexplored> {
+        self.dispatch.as_ref().map(Dispatch::unexplored).unwrap_or_default()
     }
 
     /// Whether a robot has booted out of view, where nothing has told yet where it is.

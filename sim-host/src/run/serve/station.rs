@@ -413,6 +413,7 @@ impl Station {
             },
             camera_moves: figures::camera_moves(&self.deployment),
             map: None,
+            unexplored: figures::unexplored(&self.deployment),
             plan: None,
             elapsed_s: self.now().micros() as f64 / 1e6,
             time_s: self.deployment.server_time(self.now()).micros() as f64 / 1e6,

@@ -196,7 +196,12 @@ impl Coordinator {
 
     /// The inputs for choosing a robot's viewpoints; the search starts at the end of its granted
     /// route.
-    fn approach<'a>(&'a self, ground: &'a Ground, index: usize, tried: &'a [Disc]) -> Approach<'a> {
+    pub(super) fn approach<'a>(
+        &'a self,
+        ground: &'a Ground,
+        index: usize,
+        tried: &'a [Disc],
+    ) -> Approach<'a> {
         let me = self.reservations.claim(index);
         let mut in_the_way = vec![false; ground.len()];
         let others = self.reservations.claims().iter().enumerate();

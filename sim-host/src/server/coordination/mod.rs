@@ -38,9 +38,11 @@ mod situation;
 mod target;
 #[cfg(test)]
 mod tests;
+mod unexplored;
 
 pub use coordinator::Coordinator;
 pub use drivable::{Area, AreaError, DrivableFloor};
 pub use errand::Errand;
 pub use settings::Settings;
 pub use situation::{GoalError, Notice, Situation, Whereabouts};
+pub use unexplored::{Unexplored, WhyUnexplored};

@@ -6,7 +6,7 @@ use super::{
     floor::{Floor, RADIUS_M, id},
     plan::{Plan, middle, set},
 };
-use crate::server::coordination::{Errand, Notice, ground::Point};
+use crate::server::coordination::{Errand, Notice, Unexplored, WhyUnexplored, ground::Point};
 
 /// Corridors and rooms, 12 m by 8 m.
 fn maze() -> Plan {
@@ -27,6 +27,31 @@ fn exploring(plan: Plan, starts: &[Point], seed: u64) -> Floor {
         assert!(floor.coordinator.set_exploring(id(index), true));
     }
     floor
+}
+
+/// A chamber behind a passage of a metre that is too narrow for a robot.
+#[test]
+fn what_is_left_is_told_with_the_reason() {
+    let mut plan = Plan::room(8.0, 4.0);
+    plan.wall(6.0, 0.0, 7.0, 1.7);
+    plan.wall(6.0, 2.0, 7.0, 4.0);
+    let mut floor = exploring(plan, &[Point::new(1.0, 2.0)], 1);
+    floor.run(2, |_| false);
+    let left = floor.coordinator.unexplored();
+    assert!(
+        !left.is_empty() && left.iter().any(|it| it.why == WhyUnexplored::IsTarget),
+        "{left:?}"
+    );
+    floor.run(120, |floor| {
+        floor.look_around();
+        false
+    });
+    let left = floor.coordinator.unexplored();
+    println!("{left:?}");
+    assert!(!left.is_empty() && left.iter().all(|it| it.place_m[0] > 6.0), "{left:?}");
+    let is_told =
+        |it: &Unexplored| matches!(it.why, WhyUnexplored::OutOfReach | WhyUnexplored::SeenInVain);
+    assert!(left.iter().all(is_told), "{left:?}");
 }
 
 /// Cameras see the western half; the robots look at what is hidden in the east, and return.
