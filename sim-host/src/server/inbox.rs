@@ -7,7 +7,6 @@ use ubimap_protocol::{
     },
     tile::{Layer, tile_hash},
     time::{Duration, Instant},
-    units::Pose,
 };
 
 use super::{
@@ -35,8 +34,6 @@ pub(super) struct Taken {
     pub(super) unread: Vec<Unread>,
     /// Number of tiles in updates whose state was old.
     pub(super) late: u32,
-    /// The newest pose that the robot reported, and its time.
-    pub(super) pose: Option<(Instant, Pose)>,
     /// Where the robot was before it booted, if it has just been told so.
     pub(super) hearsay: Option<Place>,
 }
@@ -115,9 +112,7 @@ impl<'a> Inbox<'a> {
         self.session.state(state);
         if let State { time: Some(moment), pose: Some(pose), .. } = state {
             // A robot can't know its pose in the future.
-            let moment = moment.min(now);
-            self.surroundings.robot(self.session.robot(), moment, pose);
-            self.taken.pose = Some((moment, pose));
+            self.surroundings.robot(self.session.robot(), moment.min(now), pose);
         } else if let State { time: None, pose: None, .. } = state
             && let Some(place) = self.surroundings.place(self.session.robot())
             && now.since(place.moment) >= UNSEEN

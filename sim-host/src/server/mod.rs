@@ -29,7 +29,6 @@ mod records;
 mod session;
 mod shared_map;
 mod snapshot;
-mod standing;
 mod surroundings;
 mod unread;
 mod unsaved;
@@ -57,7 +56,6 @@ use self::{
     ports::{Greeted, Ports},
     shared_map::SharedMap,
     snapshot::Snapshot,
-    standing::Standing,
     surroundings::Surroundings,
     unsaved::Unsaved,
     voided::Voided,
@@ -322,15 +320,6 @@ impl Server {
         if let Some(place) = taken.hearsay {
             self.corrections.seek(robot, &place);
         }
-        if let Some((moment, pose)) = taken.pose
-            && !self.corrections.is_sought(robot)
-        {
-            let (footprint, side) = (self.surroundings.footprint(robot), self.terms.resolution);
-            let within = |margin| footprint.cells(pose, Millimetres(margin), side);
-            // Its pose may be off by a cell.
-            let standing = Standing::new(moment, false, within(-side.0), within(2 * side.0));
-            self.map.stands(robot, standing);
-        }
         let must_ask = self.voided.concerns(robot) && self.is_level(robot);
         let Some(session) = self.ports.session_mut(robot) else { return };
         if must_ask {
@@ -357,8 +346,7 @@ impl Server {
             let (footprint, side) = (self.surroundings.footprint(robot), self.terms.resolution);
             // Cells that the robot covers only partly may contain a wall next to it.
             let within = |margin| footprint.cells(pose, Millimetres(margin), side);
-            let standing = Standing::new(captured, true, within(-side.0), within(side.0));
-            self.map.stands(robot, standing);
+            self.map.stands(robot, captured, within(-side.0), within(side.0));
             if let Some(session) = self.ports.session_mut(robot) {
                 session.fix(captured, Sighting { pose, ..sighting });
             }

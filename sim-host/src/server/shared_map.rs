@@ -4,12 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use ubimap_protocol::{
     message::DistanceVector,
-    tile::{Epoch, TILE_SIDE, Tile, TileId},
+    tile::{Epoch, Tile, TileId},
     time::Instant,
     units::{Millimetres, RobotId},
 };
 
-use super::standing::Standing;
 use crate::{
     camera::Observation,
     mapping::{
@@ -44,7 +43,7 @@ pub(super) struct SharedMap {
     ageing: BTreeSet<TileId>,
     /// Tiles with cells that cameras have seen recently, which expire.
     in_sight: BTreeSet<TileId>,
-    /// Where each robot was last seen, or said to be.
+    /// Where cameras last saw each robot.
     standing: BTreeMap<RobotId, Standing>,
     /// Tiles whose published cells depend on robots standing on them.
     hiding: BTreeSet<TileId>,
@@ -135,7 +134,7 @@ impl SharedMap {
         self.layers.get(&robot).map_or(Epoch(0), RobotLayer::first_epoch)
     }
 
-    /// The cells of a tile that are below robots.
+    /// The cells of a tile that are below robots, as cameras last saw the robots.
     pub(super) fn under(&self, id: TileId) -> Mask {
         union(self.standing.values().map(|it| &it.under), id)
     }
@@ -262,23 +261,11 @@ impl SharedMap {
             Some((tile, sight))
         });
         // Other robots draw a robot's outline, and no camera sees beside it that nothing else is there.
-        let seen_robots = self.standing.values().filter(|it| it.is_seen).map(|it| &it.around);
-        let mut clears = union(seen_robots, id);
+        let mut clears = union(self.standing.values().map(|it| &it.around), id);
         let seen = self.cameras.tile(id);
         for (y, (mask, under)) in clears.iter_mut().zip(self.under(id)).enumerate() {
             let row = seen.row(y);
             *mask = *mask & row.low & !row.high | under;
-        }
-        let is_occupied = |(x, y): (i32, i32)| {
-            let tile = TileId::of_cell(x, y).and_then(|id| Some(&self.whole.get(&id)?.0));
-            let side = TILE_SIDE as i32;
-            let bit = x.rem_euclid(side);
-            tile.is_some_and(|tile| tile.high[y.rem_euclid(side) as usize] >> bit & 1 != 0)
-        };
-        // Where no camera sees, a thing that fits around a robot is taken for the robot.
-        for it in self.standing.values().filter(|it| !it.is_seen && it.around.contains_key(&id)) {
-            let outline = it.outline(id, is_occupied);
-            clears.iter_mut().zip(outline).for_each(|(row, more)| *row |= more);
         }
         let hides = clear(&mut tile, &clears);
         set_member(&mut self.hiding, id, hides);
@@ -286,10 +273,17 @@ impl SharedMap {
         self.fused.set(id, tile);
     }
 
-    /// Records where a robot stands.
-    pub(super) fn stands(&mut self, robot: RobotId, standing: Standing) {
+    /// Records that a camera saw a robot at `captured` on the cells `under`, and that it may touch those `around`.
+    pub(super) fn stands(
+        &mut self,
+        robot: RobotId,
+        captured: Instant,
+        under: impl Iterator<Item = (i32, i32)>,
+        around: impl Iterator<Item = (i32, i32)>,
+    ) {
+        let standing = Standing { captured, under: masks(under), around: masks(around) };
         let last = self.standing.entry(robot).or_default();
-        if !standing.replaces(last) {
+        if captured < last.captured {
             return;
         }
         let before = core::mem::replace(last, standing);
@@ -366,6 +360,28 @@ impl SharedMap {
     }
 }
 
+/// Where a robot stands.
+#[derive(Debug, Default)]
+struct Standing {
+    captured: Instant,
+    /// The cells below the robot.
+    under: BTreeMap<TileId, Mask>,
+    /// These, and those that it touches or almost touches.
+    around: BTreeMap<TileId, Mask>,
+}
+
+/// Cells by tile; those beyond the map's range are left out.
+fn masks(cells: impl Iterator<Item = (i32, i32)>) -> BTreeMap<TileId, Mask> {
+    let mut masks = BTreeMap::<TileId, Mask>::new();
+    for (x, y) in cells {
+        if let Some(id) = TileId::of_cell(x, y) {
+            let (west, south) = id.first_cell();
+            masks.entry(id).or_default()[(y - south) as usize] |= 1 << (x - west);
+        }
+    }
+    masks
+}
+
 /// The cells of a tile that are in any of the masks.
 fn union<'a>(masks: impl Iterator<Item = &'a BTreeMap<TileId, Mask>>, id: TileId) -> Mask {
     let mut all = Mask::default();
@@ -391,7 +407,7 @@ fn set_member(set: &mut BTreeSet<TileId>, id: TileId, is_member: bool) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ubimap_protocol::tile::{Cell, Stamp, TILE_CELLS, Version};
+    use ubimap_protocol::tile::{Cell, Stamp, TILE_CELLS, TILE_SIDE, Version};
 
     #[test]
     fn an_outline_drawn_by_others_is_cleared_where_cameras_see_floor() {
@@ -420,13 +436,12 @@ mod tests {
         let square = |reach: i32| {
             (8 - reach..=8 + reach).flat_map(move |y| (8 - reach..=8 + reach).map(move |x| (x, y)))
         };
-        map.stands(ROBOT, Standing::new(Instant(6_000_000), true, square(1), square(4)));
+        map.stands(ROBOT, Instant(6_000_000), square(1), square(4));
         assert_eq!(cell(&map, ring), Cell::Free);
         assert_eq!(cell(&map, wall), Cell::Occupied, "the cameras see it");
         assert_eq!(cell(&map, (20, 20)), Cell::Occupied, "beyond the robot");
         // It comes back when the robot leaves.
-        let away = Standing::new(Instant(7_000_000), true, [].into_iter(), [].into_iter());
-        map.stands(ROBOT, away);
+        map.stands(ROBOT, Instant(7_000_000), [].into_iter(), [].into_iter());
         assert_eq!(cell(&map, ring), Cell::Occupied);
     }
 }
