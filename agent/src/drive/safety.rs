@@ -120,10 +120,10 @@ impl Safety {
             Some(Reason::Stopped)
         } else if limits.silence.is_some_and(|most| is_old(health.heard, most)) {
             Some(Reason::LinkLost)
-        } else if is_old(health.scan, limits.scan_age) {
-            Some(Reason::SensorLost)
         } else if health.pose.is_none() {
             Some(Reason::PoseLost)
+        } else if is_old(health.scan, limits.scan_age) {
+            Some(Reason::SensorLost)
         } else if sure.is_some_and(|(pose, _)| !self.is_inside(pose)) {
             Some(Reason::OutsideMap)
         } else {

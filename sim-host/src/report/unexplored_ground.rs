@@ -9,16 +9,16 @@ use serde::Serialize;
 pub struct UnexploredGround {
     /// A place on its border: x and y in `map`, in metres.
     pub place: [f64; 2],
-    /// The area that looking at it would reveal, as far as the robots' sensors reach, in square metres.
+    /// At most the area that looking at it would reveal, as far as the robots' sensors reach, in square metres.
     pub area_m2: f64,
     /// Why it is left, as a sentence that starts with the ground.
     pub why: String,
 }
 
-/// "unexplored at 3.58 m, -0.12 m (up to 0.3 m2): no robot gets to where it would be seen".
+/// "unexplored at 3.58 m, -0.12 m: no robot gets to where it would be seen".
 impl fmt::Display for UnexploredGround {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { place: [x, y], area_m2, why } = self;
-        write!(f, "unexplored at {x:.2} m, {y:.2} m (up to {area_m2:.1} m2): {why}")
+        let Self { place: [x, y], why, .. } = self;
+        write!(f, "unexplored at {x:.2} m, {y:.2} m: {why}")
     }
 }

@@ -161,7 +161,7 @@ fn ask(options: &ControlOptions, request: &str) -> Result<String, RunError> {
     let answer: std::io::Result<String> = exchange();
     let answer = answer.map_err(|error| {
         failed(format!(
-            "no server answers ({error}); start ubimap serve, or name its file with --deployment"
+            "no server answers ({error}); start ubimap serve, or name its deployment.toml with --deployment"
         ))
     })?;
     match answer.split_once(' ') {

@@ -14,7 +14,10 @@ use crate::{
         CameraMove, Comparison, HexDigest, LinkSummary, MapSummary, Pixels, Report, RobotSummary,
         UnexploredGround,
     },
-    server::{EventLog, MessageCounters},
+    server::{
+        EventLog, MessageCounters,
+        coordination::{Unexplored, WhyUnexplored},
+    },
 };
 
 /// The report of a run, without the figures that only the command knows.
@@ -51,10 +54,11 @@ pub(super) fn report(
     Report::new(seed, robots, map, comparison)
 }
 
-/// What is left to explore, the largest ground first.
+/// What is left to explore, the largest ground first, and what was looked at in vain last.
 pub(super) fn unexplored(deployment: &Deployment) -> Vec<UnexploredGround> {
     let mut left = deployment.server().unexplored();
-    left.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
+    let is_vain = |it: &Unexplored| it.why == WhyUnexplored::SeenInVain;
+    left.sort_by(|a, b| is_vain(a).cmp(&is_vain(b)).then(b.area_m2.total_cmp(&a.area_m2)));
     let ground = left.into_iter().map(|it| UnexploredGround {
         place: it.place_m,
         area_m2: it.area_m2,

@@ -58,7 +58,10 @@ impl fmt::Display for Errand {
             Self::NoWay([x, y]) => write!(f, "has no way to {x:.2} m, {y:.2} m"),
             Self::Looks([x, y]) => write!(f, "explores: looks at {x:.2} m, {y:.2} m"),
             Self::Returns([x, y]) => {
-                write!(f, "explores; finds nothing to look at, and returns to {x:.2} m, {y:.2} m")
+                write!(
+                    f,
+                    "explores; finds nothing to look at, and returns into view at {x:.2} m, {y:.2} m"
+                )
             }
             Self::Blocked(1) => write!(f, "was blocked, and gets another path"),
             Self::Blocked(times) => {

@@ -9,7 +9,7 @@ use super::{coordinator::Coordinator, frontiers::Frontier, ground::Point};
 pub struct Unexplored {
     /// A place on it in `map`, in metres.
     pub place_m: [f64; 2],
-    /// The area that looking at it would reveal, as far as the robots' sensors reach, in square metres.
+    /// At most the area that looking at it would reveal, as far as the robots' sensors reach, in square metres.
     pub area_m2: f64,
     /// Why it is left.
     pub why: WhyUnexplored,
@@ -68,7 +68,9 @@ impl fmt::Display for WhyUnexplored {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::IsTarget => "a robot is on its way",
-            Self::SeenInVain => "robots have looked at it from several places in vain",
+            Self::SeenInVain => {
+                "robots have looked from several places, and there is nothing to be seen"
+            }
             Self::PutOff => "a robot could not see or reach it; it is tried again",
             Self::OutOfReach => "no robot gets to where it would be seen",
             Self::Waits => "waits for a robot",
