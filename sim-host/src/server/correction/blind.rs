@@ -27,7 +27,8 @@ const UNHEARD_M: f64 = 6.0;
 /// Distance and angle (5 degrees) within which two views of a robot that has booted lead to one place.
 const SAME: (Millimetres, Angle) = (Millimetres(150), Angle(910));
 
-/// Distance and angle (20 degrees) within which two views are so much alike that they are mistaken together.
+/// Two views from poses that differ by less than this distance and this angle (20 degrees) can be wrong in the same
+/// way, and confirm nothing.
 const ALIKE: (Millimetres, Angle) = (Millimetres(300), Angle(3_641));
 
 /// The time that a robot spends out of the cameras' view.
