@@ -18,7 +18,10 @@ use super::{
     search::{End, Outcome, Search, Sought, Workspace},
 };
 use crate::{
-    timing::{AVOIDED_FOR, HINDERED_WAIT, MAP_LOOK_INTERVAL, NO_WAY_RETRY, REPLAN_INTERVAL},
+    timing::{
+        AVOIDED_FOR, HINDERED_WAIT, LOST_REST, LOST_TURN, MAP_LOOK_INTERVAL, NO_WAY_RETRY,
+        REPLAN_INTERVAL,
+    },
     trigonometry::radians,
 };
 
@@ -113,6 +116,8 @@ pub struct Driver<'b> {
     last: Option<Instant>,
     looked: Instant,
     planned: Instant,
+    /// When the robot last began to turn on the spot to be found.
+    lost: Option<Instant>,
     /// The current hindrance, and when it was last declared an obstacle.
     hindered: Option<Hindered>,
     avoided: Option<Instant>,
@@ -140,6 +145,7 @@ impl<'b> Driver<'b> {
             last: None,
             looked: Instant(0),
             planned: Instant(0),
+            lost: None,
             hindered: None,
             avoided: None,
             command: DriveCommand::STAND,
@@ -213,16 +219,28 @@ impl<'b> Driver<'b> {
                 self.go_on(&sight, &ground)
             }
             // What is to be seen around it may show the server where it is.
-            (Some(Reason::PoseLost), Some(_)) if self.task != Task::Stand => {
+            (Some(Reason::PoseLost), Some(_)) if self.task != Task::Stand && self.turns(now) => {
                 (self.follower.spin(true, elapsed), Reason::PoseLost)
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
         };
+        if reason != Reason::PoseLost {
+            self.lost = None;
+        }
         // While faulty wheels are tried again, their fault is still reported: it is cleared only
         // after the robot has driven some distance, which shows that the wheels work.
         let doubt = self.safety.doubt().filter(|_| reason == Reason::Driving);
         (self.command, self.reason) = (command, doubt.unwrap_or(reason));
         command
+    }
+
+    /// Whether a robot that does not know its pose turns on the spot now: for a while, and after each rest again.
+    fn turns(&mut self, now: Instant) -> bool {
+        let since = self.lost.get_or_insert(now);
+        if now.since(*since) >= LOST_REST {
+            *since = now;
+        }
+        now.since(*since) < LOST_TURN
     }
 
     /// Starts the search for a path.

@@ -94,9 +94,10 @@ impl Dispatch {
         if now < self.poll_timeout() {
             return false;
         }
-        let robots = snapshot.surroundings.robots().map(|(robot, moment, pose, footprint)| {
+        let robots = snapshot.surroundings.robots().map(|(robot, place, footprint)| {
             let obeys = is_reachable(robot) && !self.held.contains(&robot);
-            Whereabouts { robot, moment, pose, footprint, obeys }
+            let (moment, pose, is_in_view) = (place.moment, place.pose, place.is_in_view());
+            Whereabouts { robot, moment, pose, is_in_view, footprint, obeys }
         });
         let robots: Vec<Whereabouts> = robots.collect();
         let obstacles = snapshot.surroundings.all_obstacles().into_iter();

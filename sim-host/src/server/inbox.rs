@@ -112,7 +112,7 @@ impl<'a> Inbox<'a> {
         self.session.state(state);
         if let State { time: Some(moment), pose: Some(pose), .. } = state {
             // A robot can't know its pose in the future.
-            self.surroundings.robot(self.session.robot(), moment.min(now), pose);
+            self.surroundings.told(self.session.robot(), moment.min(now), pose);
         } else if let State { time: None, pose: None, .. } = state
             && let Some(place) = self.surroundings.place(self.session.robot())
             && now.since(place.moment) >= UNSEEN
@@ -120,7 +120,7 @@ impl<'a> Inbox<'a> {
             // It has booted where no camera sees it. Its distance vectors will show whether it is still
             // there; until then it neither maps nor drives, and nobody draws it.
             let pose = place.pose;
-            self.surroundings.robot(self.session.robot(), now, pose);
+            self.surroundings.told(self.session.robot(), now, pose);
             let (certainty, source) = (HEARSAY, FixSource::MapMatch);
             let earlier = Default::default();
             self.taken.hearsay = Some(place);

@@ -342,7 +342,7 @@ impl Server {
         for &sighting in &observation.robots {
             let Sighting { robot, pose: seen, .. } = sighting;
             let pose = self.corrections.fix(robot, captured, seen);
-            self.surroundings.robot(robot, captured, pose);
+            self.surroundings.saw(robot, captured, pose);
             let (footprint, side) = (self.surroundings.footprint(robot), self.terms.resolution);
             // Cells that the robot covers only partly may contain a wall next to it.
             let within = |margin| footprint.cells(pose, Millimetres(margin), side);

@@ -11,7 +11,7 @@ use ubimap_protocol::{
 use crate::{
     camera::Observation,
     perception::{Footprint, Lying, Track, Tracks},
-    timing::{POSE_STALE, ROBOT_PARKED},
+    timing::{OUT_OF_VIEW, POSE_STALE, ROBOT_PARKED},
 };
 
 /// Maximum distance of the peers and obstacles sent to a robot, in metres.
@@ -34,9 +34,16 @@ pub(super) struct Place {
     pub(super) pose: Pose,
     /// Since when it is there.
     since: Instant,
+    /// When a camera last saw it there or before.
+    seen: Option<Instant>,
 }
 
 impl Place {
+    /// Whether cameras saw the robot when its newest pose was taken, or shortly before.
+    pub(super) fn is_in_view(&self) -> bool {
+        self.seen.is_some_and(|seen| self.moment.since(seen) <= OUT_OF_VIEW)
+    }
+
     /// Whether the robot stood when its newest pose was taken.
     pub(super) fn stands(&self) -> bool {
         self.moment.since(self.since) >= STANDS_AFTER
@@ -66,13 +73,25 @@ impl Surroundings {
         self.footprints.get(&robot).copied().unwrap_or_default()
     }
 
-    /// Adds a pose of a robot.
-    pub(super) fn robot(&mut self, robot: RobotId, moment: Instant, pose: Pose) {
-        let known = self.robots.entry(robot).or_insert(Place { moment, pose, since: moment });
+    /// Adds a pose that a robot told.
+    pub(super) fn told(&mut self, robot: RobotId, moment: Instant, pose: Pose) {
+        self.robot(robot, moment, pose);
+    }
+
+    /// Adds a pose at which a camera saw a robot.
+    pub(super) fn saw(&mut self, robot: RobotId, captured: Instant, pose: Pose) {
+        let known = self.robot(robot, captured, pose);
+        known.seen = known.seen.max(Some(captured));
+    }
+
+    fn robot(&mut self, robot: RobotId, moment: Instant, pose: Pose) -> &mut Place {
+        let place = Place { moment, pose, since: moment, seen: None };
+        let known = self.robots.entry(robot).or_insert(place);
         if known.moment < moment {
             let since = if known.is_at(pose) { known.since } else { moment };
-            *known = Place { moment, pose, since };
+            *known = Place { moment, pose, since, seen: known.seen };
         }
+        known
     }
 
     /// Where a robot was last.
@@ -138,11 +157,9 @@ impl Surroundings {
         nearest_first(peers)
     }
 
-    /// All known robots: time and pose of their last report, and footprint.
-    pub(super) fn robots(&self) -> impl Iterator<Item = (RobotId, Instant, Pose, Footprint)> {
-        self.robots.iter().map(|(&id, &Place { moment, pose, .. })| {
-            (id, moment, pose, self.footprints.get(&id).copied().unwrap_or_default())
-        })
+    /// All known robots: where each was last, and its footprint.
+    pub(super) fn robots(&self) -> impl Iterator<Item = (RobotId, Place, Footprint)> {
+        self.robots.iter().map(|(&id, &place)| (id, place, self.footprint(id)))
     }
 
     /// All people and things, and the posture of each.
@@ -207,7 +224,7 @@ mod tests {
         let mut about = Surroundings::default();
         let mut stands = |millis, x, heading| {
             let pose = Pose { x: Millimetres(x), y: Millimetres(0), heading: Angle(heading) };
-            about.robot(RobotId(1), Instant(0) + Duration::from_millis(millis), pose);
+            about.told(RobotId(1), Instant(0) + Duration::from_millis(millis), pose);
             about.place(RobotId(1)).unwrap().stands()
         };
         assert!(!stands(0, 0, 0));
@@ -223,9 +240,9 @@ mod tests {
         let mut about = Surroundings::default();
         let pose = |x| Pose { x: Millimetres(x), y: Millimetres(0), heading: Angle(0) };
         let (me, silent) = (RobotId(1), RobotId(2));
-        about.robot(silent, Instant(0), pose(1_000));
+        about.told(silent, Instant(0), pose(1_000));
         let told = |about: &mut Surroundings, micros| {
-            about.robot(me, Instant(micros), pose(0));
+            about.told(me, Instant(micros), pose(0));
             let ages: Vec<u8> = about.peers(me).iter().map(|peer| peer.age).collect();
             (ages, about.peers_moment(me))
         };

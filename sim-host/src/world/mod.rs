@@ -45,6 +45,7 @@ mod tests;
 
 use std::{collections::VecDeque, sync::Arc};
 
+use log::info;
 use parry2d_f64::glamx::DVec2;
 use rand_chacha::ChaCha8Rng;
 use ubimap_protocol::{
@@ -370,11 +371,15 @@ impl World {
             let wall = || room.obstacle(me.centre, next, me.radius, me.height).is_some();
             (robots.iter().any(meets) || wall()).then_some(Contact::Thing)
         };
-        match self.robots[index].obey(seconds, contact) {
-            Some(Contact::Person) => self.contacts.touches += 1,
-            Some(Contact::Thing) => self.contacts.collisions += 1,
-            None => {}
-        }
+        let (count, what) = match self.robots[index].obey(seconds, contact) {
+            Some(Contact::Person) => (&mut self.contacts.touches, "a person"),
+            Some(Contact::Thing) => (&mut self.contacts.collisions, "a robot or a wall"),
+            None => return,
+        };
+        *count += 1;
+        let (at, robot) = (self.now.micros() as f64 / 1e6, &self.robots[index]);
+        let DVec2 { x, y } = robot.pose().position;
+        info!("at {at:.1} s: robot {} touches {what} at {x:.2} m, {y:.2} m", robot.id().0);
     }
 
     /// Takes the scans and frames that are due.

@@ -15,6 +15,8 @@ pub enum Errand {
     Waits,
     /// It may explore, finds nothing to look at, and returns into the cameras' view, to that place.
     Returns([f64; 2]),
+    /// It has driven so far out of view that its pose may have drifted, and comes back into view there.
+    Recalled([f64; 2]),
     /// It drives to a goal in `map`, in metres.
     Goal([f64; 2]),
     /// There is no way to its goal at present.
@@ -42,6 +44,9 @@ impl Coordinator {
             (Some(goal), _) if member.is_told => Errand::NoWay(goal),
             (Some(goal), _) => Errand::Goal(goal),
             (None, Some(frontier)) => Errand::Looks(frontier),
+            (None, None) if member.recall.is_none() => {
+                member.refuge.map_or(Errand::Waits, |it| Errand::Recalled(place(it)))
+            }
             (None, None) if member.refuge.is_some() => Errand::Returns(member.refuge.map(place)?),
             (None, None) if member.explores => Errand::Waits,
             (None, None) => Errand::Idle,
@@ -61,6 +66,12 @@ impl fmt::Display for Errand {
                 write!(
                     f,
                     "explores; finds nothing to look at, and returns into view at {x:.2} m, {y:.2} m"
+                )
+            }
+            Self::Recalled([x, y]) => {
+                write!(
+                    f,
+                    "explores; its pose may have drifted, so that it comes into view at {x:.2} m, {y:.2} m"
                 )
             }
             Self::Blocked(1) => write!(f, "was blocked, and gets another path"),

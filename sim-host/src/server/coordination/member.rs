@@ -27,6 +27,10 @@ pub(super) struct Member {
     pub(super) target: Option<Target>,
     /// Where the robot waits in the cameras' view, while it has neither goal nor target.
     pub(super) refuge: Option<Point>,
+    /// Distance that the robot has driven since cameras last saw it, in metres.
+    driven_m: f64,
+    /// When it may next be called back into view for that; `None` while it is called back.
+    pub(super) recall: Option<Instant>,
     /// Since when it has had nothing to do.
     pub(super) idle_since: Option<Instant>,
     /// When the robot was told to stop in order to get another route; `None` if it was not.
@@ -46,6 +50,7 @@ pub(super) struct Member {
     pub(super) sent: Instant,
     /// Heading in radians in `map`.
     pub(super) heading: f64,
+    place: Point,
     still_at: Point,
     still_since: Instant,
     seen: Instant,
@@ -71,6 +76,8 @@ impl Member {
             goal: None,
             target: None,
             refuge: None,
+            driven_m: 0.0,
+            recall: Some(Instant(0)),
             idle_since: None,
             halted: None,
             trouble: None,
@@ -81,6 +88,7 @@ impl Member {
             is_told: false,
             sent: Instant(0),
             heading: robot.pose.heading.radians(),
+            place: robot.place(),
             still_at: robot.place(),
             still_since: robot.moment,
             seen: robot.moment,
@@ -98,6 +106,8 @@ impl Member {
         self.radius_m = robot.radius_m();
         self.heading = robot.pose.heading.radians();
         self.seen = self.seen.max(robot.moment);
+        let step_m = (robot.place() - core::mem::replace(&mut self.place, robot.place())).norm();
+        self.driven_m = if robot.is_in_view { 0.0 } else { self.driven_m + step_m };
         if (robot.place() - self.still_at).norm() > rules.still_m {
             (self.still_at, self.still_since) = (robot.place(), robot.moment);
         }
@@ -124,7 +134,18 @@ impl Member {
 
     /// Whether the robot may be given something to look at.
     pub(super) fn is_idle(&self) -> bool {
-        self.explores && self.goal.is_none() && self.target.is_none() && self.can_drive()
+        self.is_exploring() && self.target.is_none() && self.recall.is_some()
+    }
+
+    /// Whether the robot explores now.
+    pub(super) fn is_exploring(&self) -> bool {
+        self.explores && self.goal.is_none() && self.can_drive()
+    }
+
+    /// Whether the robot should come into view, since its pose may have drifted: after the look that it is on its
+    /// way to.
+    pub(super) fn is_adrift(&self, blind_m: f64) -> bool {
+        self.driven_m > blind_m && (self.target.is_none() || self.recall.is_none())
     }
 
     /// Whether a place is close enough to the robot's destination.

@@ -366,6 +366,13 @@ pub struct ExplorationRules {
     pub patience: Duration,
     /// Time for which a frontier that was given up for lack of a way is not tried again.
     pub put_off: Duration,
+    /// Distance in metres that an exploring robot may drive out of the cameras' view before it is called back there,
+    /// after the look that it is on its way to: its pose drifts, and so does what it draws.
+    pub blind_m: f64,
+    /// How far within the view such a place is, in metres: the robot's pose may be off.
+    pub within_m: f64,
+    /// Time for which it explores on if it can't come into view.
+    pub recall_again: Duration,
     /// Time after which a robot that finds nothing to look at returns to where cameras see it; `None` to
     /// stay where it is.
     pub returns_after: Option<Duration>,
@@ -383,6 +390,9 @@ impl Default for ExplorationRules {
             most_looks: 3,
             patience: Duration::from_secs(2),
             put_off: Duration::from_secs(20),
+            blind_m: 15.0,
+            within_m: 0.3,
+            recall_again: Duration::from_secs(30),
             returns_after: None,
         }
     }

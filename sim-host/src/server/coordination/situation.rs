@@ -34,6 +34,8 @@ pub struct Whereabouts {
     pub moment: Instant,
     /// The pose of `base_link` in `map`.
     pub pose: Pose,
+    /// Whether cameras saw the robot at that time or shortly before.
+    pub is_in_view: bool,
     /// The robot's footprint.
     pub footprint: Footprint,
     /// Whether the robot can be commanded: it has a session, and was not told to stop.

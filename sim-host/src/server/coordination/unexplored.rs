@@ -31,7 +31,8 @@ pub enum WhyUnexplored {
 }
 
 impl Coordinator {
-    /// What is left to explore by the last survey, in no order. Cost: a search for each robot that explores.
+    /// What is left to explore by the last survey, the largest first: of the borders that one look reveals, the
+    /// one with most behind it. Cost: a search for each robot that explores.
     pub fn unexplored(&self) -> Vec<Unexplored> {
         let all: Vec<&Frontier> = self.frontiers.iter().collect();
         let Some(ground) = &self.ground else { return Vec::new() };
@@ -55,12 +56,25 @@ impl Coordinator {
                 _ => WhyUnexplored::PutOff,
             }
         };
-        let left = all.iter().enumerate().map(|(at, frontier)| Unexplored {
+        let mut left: Vec<(&Frontier, WhyUnexplored)> =
+            all.iter().enumerate().map(|(at, frontier)| (*frontier, why(at, frontier))).collect();
+        left.sort_by(|(one, _), (other, _)| other.gain_m2.total_cmp(&one.gain_m2));
+        // A long border is in many pieces, and a look at one reveals what is behind those beside it.
+        let mut told: Vec<(&Frontier, WhyUnexplored)> = Vec::new();
+        for (frontier, why) in left {
+            let is_beside = |(other, its): &(&Frontier, WhyUnexplored)| {
+                *its == why && (other.place - frontier.place).norm() <= self.settings.view_m
+            };
+            if !told.iter().any(is_beside) {
+                told.push((frontier, why));
+            }
+        }
+        let told = told.into_iter().map(|(frontier, why)| Unexplored {
             place_m: [frontier.place.x, frontier.place.y],
             area_m2: frontier.gain_m2,
-            why: why(at, frontier),
+            why,
         });
-        left.collect()
+        told.collect()
     }
 }
 

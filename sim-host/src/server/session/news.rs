@@ -133,7 +133,7 @@ mod tests {
     /// Robots 1 to `robots`, at 1 m intervals to the east of a distant point.
     fn saw(about: &mut Surroundings, robots: u16, at: Instant) {
         let pose = |robot: u16| Pose::from_metres(200_000.0 + f64::from(robot), 0.0, 0.0);
-        (1..=robots).for_each(|robot| about.robot(RobotId(robot), at, pose(robot)));
+        (1..=robots).for_each(|robot| about.told(RobotId(robot), at, pose(robot)));
     }
 
     /// The robots listed in the next frame, which has `room` bytes, if it contains a list.
@@ -191,9 +191,9 @@ mod tests {
         assert_eq!(news.poll_timeout(&about, ME), None);
         // Robot 9 is far away, and the others have been silent for more than a minute.
         let far = Pose::from_metres(0.0, 0.0, 0.0);
-        about.robot(RobotId(9), second(65), far);
+        about.told(RobotId(9), second(65), far);
         assert_eq!(tell(&mut news, &about, 65_000), Some(vec![]));
-        about.robot(RobotId(9), second(66), far);
+        about.told(RobotId(9), second(66), far);
         assert_eq!(tell(&mut news, &about, 66_000), None);
         assert_eq!(news.poll_timeout(&about, ME), None);
     }

@@ -85,6 +85,43 @@ fn robots_return_into_view_when_nothing_is_left_to_look_at() {
     assert!(!floor.is_blocked());
 }
 
+/// Cameras see the westernmost rooms of twelve metres of them.
+#[test]
+fn robots_come_into_view_before_their_poses_drift_far() {
+    let [(endless, all), (recalled, known)] = [f64::INFINITY, 8.0].map(|blind_m| {
+        let mut floor = exploring(rooms(), &[Point::new(1.5, 4.0)], 1);
+        let seen: Vec<_> = floor.plan.places().filter(|it| middle(*it).x < 3.0).collect();
+        set(&mut floor.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
+        floor.coordinator.settings.exploration.blind_m = blind_m;
+        let (mut left, mut farthest, mut is_recalled) = (0.0, 0.0_f64, false);
+        let (mut looked, mut busy) = (0, floor.now);
+        floor.run(400, |floor| {
+            if floor.now.micros() / 500_000 != looked {
+                looked = floor.now.micros() / 500_000;
+                floor.look_around();
+            }
+            let body = &floor.bodies[0];
+            if floor.is_in_view(body.place) {
+                left = body.driven;
+            }
+            farthest = farthest.max(body.driven - left);
+            let errand = floor.coordinator.errand(id(0));
+            is_recalled |= matches!(errand, Some(Errand::Recalled(_)));
+            if errand != Some(Errand::Waits) {
+                busy = floor.now;
+            }
+            floor.now.since(busy).micros() > 5_000_000
+        });
+        assert_eq!(is_recalled, blind_m.is_finite());
+        assert!(!floor.is_blocked());
+        (farthest, known(&floor).0)
+    });
+    println!("at most {endless:.1} m out of view, with recalls {recalled:.1} m");
+    // Nothing is farther than 12 m away, and the way back is not counted before.
+    assert!(recalled < 8.0 + 14.0 && endless > recalled + 10.0, "{endless}, {recalled}");
+    assert!(f64::from(known) > 0.99 * f64::from(all), "all is explored: {known} of {all} cells");
+}
+
 /// Runs until all ground is known, or for a limited time. Checks that no two robots go to the same
 /// frontier at the same time. Returns the duration in seconds, the known fraction of the ground
 /// that can be seen, and the floor.
@@ -110,12 +147,18 @@ fn explore(mut floor: Floor) -> (u64, f64, Floor) {
         }
         floor.now.since(idle_since).micros() > 5_000_000
     });
+    let (known, all) = known(&floor);
+    (idle_since.micros() / 1_000_000, f64::from(known) / f64::from(all), floor)
+}
+
+/// Number of free cells that are known, and of all.
+fn known(floor: &Floor) -> (u32, u32) {
     let (mut known, mut all) = (0, 0);
     for cell in floor.plan.places().filter(|it| floor.plan.cell(middle(*it)) == Cell::Free) {
         all += 1;
         known += u32::from(!floor.is_unknown(cell));
     }
-    (idle_since.micros() / 1_000_000, f64::from(known) / f64::from(all), floor)
+    (known, all)
 }
 
 /// Eight rooms on both sides of a corridor.

@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use ubimap_protocol::{
     message::{EventCode, Obstacle, ObstacleClass},
-    tile::Cell,
+    tile::{Cell, Tile, TileId},
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
 };
@@ -237,6 +237,17 @@ impl Floor {
         }
     }
 
+    /// Whether a camera sees a place; without any camera, all places count as seen.
+    pub(super) fn is_in_view(&self, place: Point) -> bool {
+        let [column, row] = [place.x, place.y].map(|metres| (metres / SIDE_M).floor() as i32);
+        let Some(id) = TileId::of_cell(column, row) else { return false };
+        let (west, south) = id.first_cell();
+        let cell =
+            |(_, tile): (_, &Tile)| tile.cell((column - west) as usize, (row - south) as usize);
+        self.coverage.tiles().next().is_none()
+            || self.coverage.get(id).is_some_and(|it| cell(it) == Cell::Free)
+    }
+
     fn tick(&mut self) {
         let robot = |(index, body): (usize, &Body)| Whereabouts {
             robot: id(index),
@@ -246,6 +257,7 @@ impl Floor {
                 y: Millimetres::from_metres(body.reported.1.y),
                 heading: Angle(0),
             },
+            is_in_view: self.is_in_view(body.reported.1),
             footprint: Footprint::default(),
             obeys: body.obeys,
         };

@@ -1,0 +1,71 @@
+//! Robots map real floor plans, of which cameras see a tenth.
+//!
+//! `cargo plans` prints the table with eight robots and sixteen cameras; `UBIMAP_PLANS=office_b,lab_c` chooses plans,
+//! `UBIMAP_SEEDS=3` more seeds, and `UBIMAP_ROBOTS=4` four robots with six cameras. A plan takes five to ten minutes.
+
+use std::{env, io::Write};
+
+use clap::Parser;
+use ubimap_sim_host::run::{options::SimulateOptions, simulate};
+use ubimap_tests::{data, seeds::seeds};
+
+/// The plans of `maps/ipa`.
+const PLANS: [&str; 8] = [
+    "lab_c",
+    "lab_e",
+    "office_a",
+    "office_b",
+    "office_b_furnitures",
+    "office_c",
+    "office_d",
+    "office_d_furnitures",
+];
+
+/// The places of cameras, robots and people follow from the plan.
+const SCENARIOS: [(&str, &str); 2] = [
+    ("8", concat!(env!("CARGO_MANIFEST_DIR"), "/plans/eight.toml")),
+    ("4", concat!(env!("CARGO_MANIFEST_DIR"), "/plans/four.toml")),
+];
+
+#[derive(Parser)]
+struct CommandLine {
+    #[command(flatten)]
+    options: SimulateOptions,
+}
+
+#[test]
+#[ignore = "takes an hour: cargo plans"]
+fn robots_map_floor_plans() {
+    let robots = env::var("UBIMAP_ROBOTS").unwrap_or_else(|_| "8".to_owned());
+    let (_, scenario) = SCENARIOS.into_iter().find(|(it, _)| *it == robots).expect("4 or 8 robots");
+    let chosen = env::var("UBIMAP_PLANS").ok();
+    let is_chosen =
+        |plan: &&str| chosen.as_ref().is_none_or(|it| it.split(',').any(|it| it == *plan));
+    println!(
+        "| plan, seed | F1 | poses RMS | blind ground mapped | all of it after | collisions |\n\
+         |---|---|---|---|---|---|"
+    );
+    let mut collisions = 0;
+    for (plan, seed) in
+        PLANS.iter().filter(is_chosen).flat_map(|plan| seeds(1).map(move |seed| (plan, seed)))
+    {
+        let Some(map) = data::file(&format!("maps/ipa/{plan}.yaml")) else { return };
+        let (map, seed) = (map.display().to_string(), seed.to_string());
+        let line = ["simulate", scenario, "--map", &map, "--ideal-cameras", "--seed", &seed];
+        let report = simulate::run(&CommandLine::parse_from(line).options).unwrap().report;
+        let (pose, driving) = (report.pose.unwrap(), report.driving.unwrap());
+        let after = driving.mapped_s.map_or("-".to_owned(), |seconds| format!("{seconds:.0} s"));
+        println!(
+            "| {plan}, {seed} | {:.3} | {:.0} cm, {:.1} degrees | {:.1} % of {:.0} m2 | {after} | {} |",
+            report.truth.unwrap().f1_occupied,
+            100.0 * pose.rmse_m,
+            pose.rmse_deg,
+            100.0 * driving.blind_mapped,
+            driving.blind_m2,
+            driving.collisions,
+        );
+        let _ = std::io::stdout().flush();
+        collisions += driving.collisions;
+    }
+    assert_eq!(collisions, 0);
+}
