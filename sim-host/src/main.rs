@@ -113,12 +113,20 @@ enum Command {
     /// Draw sheets of the robots' markers to print, with the lines of the deployment that go with them
     Markers(MarkersOptions),
     /// Send a robot of the running server to a place
+    ///
+    /// It drives there by a way that the server finds through known free ground, also if it was stopped. When it
+    /// has arrived, a robot that explores (serve --explore, or the command explore) goes on exploring; another one
+    /// stays. To make it stay: ubimap stop ROBOT when it is there.
     Go(GoOptions),
     /// Stop a robot of the running server, or all
     Stop(RobotsOptions),
     /// Let a robot of the running server, or all, explore
     Explore(RobotsOptions),
     /// Show robots, cameras and map of the running server
+    ///
+    /// First comes each robot with its newest pose, from cameras or its own reports, whichever is newer, and what
+    /// it is doing. Below, each port has what the robot itself last reported, which is up to 2 s older, the
+    /// counters of its link, and its newest events: one that came several times is listed once, at its last time.
     Status(StatusOptions),
     /// Make, list and retire the keys of robots
     Keys(KeysOptions),

@@ -23,7 +23,9 @@ pub fn listen(path: &Path) -> Result<UnixListener, WireError> {
             return Err(refuse("exists, and is not a socket".into()));
         }
         if UnixStream::connect(path).is_ok() {
-            return Err(refuse("another server listens there".into()));
+            return Err(refuse(
+                "another ubimap serve or record listens there; stop it first".into(),
+            ));
         }
         fs::remove_file(path).map_err(|error| refuse(error.to_string()))?;
     }
@@ -44,7 +46,7 @@ mod tests {
         let path = folder.path().join("s");
         let living = listen(&path).unwrap();
         let error = listen(&path).unwrap_err().to_string();
-        assert!(error.contains("another server"), "{error}");
+        assert!(error.contains("another ubimap serve"), "{error}");
         drop(living);
         assert!(path.exists());
         drop(listen(&path).unwrap());

@@ -70,7 +70,8 @@ use crate::{
 pub use crate::perception::Footprint;
 pub use command::Command;
 pub use events::{
-    Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, about_number, described,
+    Event, EventKind, EventLog, LoggedEvent, PersonEvent, RobotEvent, Tally, about_number,
+    described,
 };
 pub use port::{MessageCounters, Policy};
 pub use ports::{CommandError, NoSuchPort};

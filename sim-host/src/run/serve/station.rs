@@ -28,7 +28,7 @@ use crate::{
     deployment::{Config, Deployment, Event, Life, Policy},
     grid::OccupancyGrid,
     perception::{Observer, robots::RegistryError},
-    report::{ServeReport, json_pretty},
+    report::{ServeReport, ServedRobot, json_pretty},
     run::{
         RunError,
         control::Request,
@@ -303,6 +303,7 @@ impl Station {
                 })
             }
             Request::Go(robot, place) => {
+                robots::commandable(&self.robots(), robot)?;
                 self.deployment.goal(robot, place, now).map_err(|error| error.to_string())?;
                 self.stop(robot, false)?;
                 Ok(format!("robot {} goes to {} m, {} m\n", robot.0, place[0], place[1]))
@@ -316,7 +317,10 @@ impl Station {
     fn each(&mut self, robot: Option<RobotId>, stop: bool) -> Result<String, String> {
         let ports = self.deployment.status().ports;
         let robots: Vec<RobotId> = match robot {
-            Some(robot) => vec![robot],
+            Some(robot) => {
+                robots::commandable(&self.robots(), robot)?;
+                vec![robot]
+            }
             None => ports.iter().filter_map(|port| port.robot).collect(),
         };
         for &robot in &robots {
@@ -327,7 +331,7 @@ impl Station {
         let what = if stop { "stopped" } else { "exploring" };
         Ok(format!(
             "{what}: {}\n",
-            if names.is_empty() { "no robot".into() } else { names.join(", ") }
+            if names.is_empty() { "no robot: none is connected".into() } else { names.join(", ") }
         ))
     }
 
@@ -387,6 +391,12 @@ impl Station {
         }
     }
 
+    /// The state of the robots at this time.
+    fn robots(&self) -> Vec<ServedRobot> {
+        let Self { deployment, links, registered, stopped, .. } = self;
+        robots::robots(deployment, links, registered, stopped, self.now())
+    }
+
     /// The report on the robots and cameras at this time.
     pub fn report(&self) -> ServeReport {
         let summary = |(port, link): (_, &Attached)| {
@@ -399,12 +409,11 @@ impl Station {
                 results::cameras(deployed, &cameras.states(), standings, &self.deployment, now)
             }
         };
-        let Self { deployment, links, registered, stopped, .. } = self;
         ServeReport {
             schema: ServeReport::SCHEMA,
             version: ServeReport::VERSION,
-            robots: robots::robots(deployment, links, registered, stopped, now),
-            people: markers::tracked_people(deployment, now),
+            robots: self.robots(),
+            people: markers::tracked_people(&self.deployment, now),
             ports: self.links.iter().map(summary).collect(),
             cameras,
             delays: match &self.eyes {

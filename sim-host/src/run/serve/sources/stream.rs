@@ -80,10 +80,8 @@ pub(super) fn tcp(
     name: &str,
     address: SocketAddr,
 ) -> Result<impl LiveSource + use<>, WireError> {
-    let refuse = |error: io::Error| WireError::Open {
-        name: format!("camera {name}: stream:{address}"),
-        reason: error.to_string(),
-    };
+    let refuse =
+        |error: io::Error| WireError::unbound(format!("camera {name}: stream:{address}"), &error);
     if !address.ip().is_loopback() {
         log::warn!("camera {name}: stream:{address}: whoever reaches it can send frames");
     }
