@@ -168,15 +168,11 @@ fn main() -> ExitCode {
     ) {
         interruption::listen();
     }
-    let level = match command {
-        // It runs until stopped: its messages are its only output.
-        Command::Serve(_) | Command::Robot(_) if !verbosity.quiet && verbosity.verbose == 0 => {
-            LevelFilter::Info
-        }
-        Command::Serve(_) | Command::Robot(_) if !verbosity.quiet => {
-            verbosity.level().max(LevelFilter::Debug)
-        }
-        _ => verbosity.level(),
+    let level = match runs_until_stopped(&command) && !verbosity.quiet {
+        // Its messages are its only output.
+        true if verbosity.verbose == 0 => LevelFilter::Info,
+        true => verbosity.level().max(LevelFilter::Debug),
+        false => verbosity.level(),
     };
     terminal::start_logging(level);
     let is_verbose = verbosity.verbose > 0;
@@ -197,7 +193,7 @@ fn main() -> ExitCode {
         Command::Serve(options) => serve(&options),
         Command::Robot(options) => robot::run(&options).map(|()| ExitCode::SUCCESS),
         #[cfg(target_os = "linux")]
-        Command::Rig(options) => rig::run(&options).and_then(|it| answered(&json_pretty(&it))),
+        Command::Rig(options) => rig(&options),
         Command::Record(options) => recording::run(&options).and_then(|it| answered(&it)),
         Command::Init(options) => init(&options),
         Command::Ports(options) => ports(&options),
@@ -223,6 +219,15 @@ fn main() -> ExitCode {
         Command::Decode(options) => decode(&options),
     };
     finished.unwrap_or_else(|error| fail(&error))
+}
+
+fn runs_until_stopped(command: &Command) -> bool {
+    match command {
+        Command::Serve(_) | Command::Robot(_) => true,
+        #[cfg(target_os = "linux")]
+        Command::Rig(_) => true,
+        _ => false,
+    }
 }
 
 /// Prints why a run failed. Returns the exit code.
@@ -294,6 +299,12 @@ fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     let report = serve::run(options)?;
     print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
     Ok(status(report.has_robot() || interruption::is_requested()))
+}
+
+#[cfg(target_os = "linux")]
+fn rig(options: &RigOptions) -> Result<ExitCode, RunError> {
+    let report = rig::run(options)?;
+    answered(&if options.json { json_pretty(&report) } else { report.to_string() })
 }
 
 fn init(options: &InitOptions) -> Result<ExitCode, RunError> {

@@ -6,6 +6,7 @@ use std::{
     path::Path,
 };
 
+use serde::Serialize;
 use toml::{Table, Value};
 
 use crate::{
@@ -46,17 +47,33 @@ pub(super) fn write(
     let cameras = FrameSource::cameras(world).iter().enumerate();
     let cameras = cameras.map(|(index, camera)| Value::from(camera_keys(index, camera)));
     deployment.insert("cameras".into(), cameras.collect::<Vec<_>>().into());
-    // Plain structs and tables: serialising them can't fail.
     let robots = registry(scenario).to_toml();
-    let text = toml::to_string(&deployment).unwrap_or_default() + "\n" + &robots;
+    let text = toml_of(&deployment) + "\n" + &robots;
     keep_or_write(&folder.join("deployment.toml"), &text)?;
     for robot in world.robots() {
         let number = robot.id().0;
-        let text =
-            toml::to_string(&robot_file(robot, port, lidars.contains(&number))).unwrap_or_default();
-        keep_or_write(&folder.join(format!("robot-{number}.toml")), &text)?;
+        let file = robot_file(robot, port, lidars.contains(&number));
+        keep_or_write(&folder.join(format!("robot-{number}.toml")), &toml_of(&file))?;
     }
     Ok(())
+}
+
+/// The text of a file. Its numbers are rounded to millionths: of a metre, a degree or a pixel.
+fn toml_of(file: &impl Serialize) -> String {
+    // Plain structs and tables: serialising them can't fail.
+    let mut value = Value::try_from(file).unwrap_or(Value::Table(Table::new()));
+    round(&mut value);
+    toml::to_string(&value).unwrap_or_default()
+}
+
+fn round(value: &mut Value) {
+    match value {
+        // Without the sign of a negative zero.
+        Value::Float(number) => *number = (*number * 1e6).round() / 1e6 + 0.0,
+        Value::Array(values) => values.iter_mut().for_each(round),
+        Value::Table(table) => table.iter_mut().for_each(|(_, value)| round(value)),
+        _ => {}
+    }
 }
 
 fn keep_or_write(path: &Path, text: &str) -> Result<(), RunError> {
@@ -116,5 +133,25 @@ fn robot_file(robot: &SimRobot, port: u16, has_lidar: bool) -> RobotFile {
         }),
         max_range_m: sensor.max_range_m().min(FARTHEST_M),
         resolution_m: RESOLUTION.metres(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_written_short_and_zeros_without_a_sign() {
+        let lens: Table =
+            [("fx".to_owned(), Value::Float(168.604_820_044_953_98))].into_iter().collect();
+        let offset = [-0.015_000_000_000_000_088, -1.2e-17, 0.0].map(Value::from).to_vec();
+        let mut file = Table::new();
+        file.insert("depth".into(), lens.into());
+        file.insert("offset".into(), offset.into());
+        file.insert("port".into(), 4_000.into());
+        assert_eq!(
+            toml_of(&file),
+            "offset = [-0.015, 0.0, 0.0]\nport = 4000\n\n[depth]\nfx = 168.60482\n"
+        );
     }
 }

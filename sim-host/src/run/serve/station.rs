@@ -24,7 +24,10 @@ use super::{
     standing::Standings,
 };
 use crate::{
-    channel::intake::{Arrival, Feed},
+    channel::{
+        intake::{Arrival, Feed},
+        socket_file::SocketFile,
+    },
     deployment::{Config, Deployment, Event, Life, Policy},
     grid::OccupancyGrid,
     perception::{Observer, robots::RegistryError},
@@ -83,6 +86,8 @@ struct Watch {
     standings: Standings,
     plan: Option<Arc<OccupancyGrid>>,
     delays: Delays,
+    /// Removed with the station.
+    _sockets: Vec<SocketFile>,
 }
 
 impl Station {
@@ -118,7 +123,7 @@ impl Station {
         playback: Playback,
     ) -> Result<Self, RunError> {
         let observer = observer(&config, &deployed);
-        let sources = sources::open(&deployed, playback.every_frame)?;
+        let (sources, sockets) = sources::open(&deployed, playback.every_frame)?;
         let cameras = Arc::new(Cameras::new(deployed.len()));
         let mut number = 0..;
         let numbers = deployed.iter().map(|it| it.is_placed.then(|| number.next()).flatten());
@@ -129,6 +134,7 @@ impl Station {
             plan: plan.map(Arc::new),
             deployed,
             delays: Delays::default(),
+            _sockets: sockets,
         };
         let clock = Clock::new(playback.speed);
         let mut station = Self::with(config, life, links, keeper, (Eyes::Cameras(watch), clock))?;
