@@ -228,6 +228,7 @@ fn the_frames_of_a_camera_are_recorded() {
         }
     }
     let told = recording.end();
+    assert!(!lab.folder.join("north.sock").exists(), "the camera's socket is left behind");
     assert!(told.starts_with("camera north: 3 frames\nrecorded in rec; "), "{told}");
     let watched = lab.print(&["watch", "rec", "--json", "--out", "watched"]);
     let report: Value = serde_json::from_str(&watched).unwrap();
@@ -269,6 +270,7 @@ fn commands_are_answered_in_words() {
     drop(robot.end());
     let report: Value = serde_json::from_str(&server.end()).unwrap();
     assert_eq!(report["robots"][0]["robot"], 1);
+    assert!(!lab.folder.join("deployment.sock").exists(), "the socket is left behind");
     assert!(refused(&["status"]).contains("no server answers"));
 }
 

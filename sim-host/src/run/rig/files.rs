@@ -6,7 +6,6 @@ use std::{
     path::Path,
 };
 
-use serde::Serialize;
 use toml::{Table, Value};
 
 use crate::{
@@ -48,32 +47,33 @@ pub(super) fn write(
     let cameras = cameras.map(|(index, camera)| Value::from(camera_keys(index, camera)));
     deployment.insert("cameras".into(), cameras.collect::<Vec<_>>().into());
     let robots = registry(scenario).to_toml();
-    let text = toml_of(&deployment) + "\n" + &robots;
+    // Plain structs and tables: serialising them can't fail.
+    let mut deployment = Value::Table(deployment);
+    round(&mut deployment);
+    let text = toml::to_string(&deployment).unwrap_or_default() + "\n" + &robots;
     keep_or_write(&folder.join("deployment.toml"), &text)?;
     for robot in world.robots() {
         let number = robot.id().0;
         let file = robot_file(robot, port, lidars.contains(&number));
-        keep_or_write(&folder.join(format!("robot-{number}.toml")), &toml_of(&file))?;
+        let text = toml::to_string(&file).unwrap_or_default();
+        keep_or_write(&folder.join(format!("robot-{number}.toml")), &text)?;
     }
     Ok(())
 }
 
-/// The text of a file. Its numbers are rounded to millionths: of a metre, a degree or a pixel.
-fn toml_of(file: &impl Serialize) -> String {
-    // Plain structs and tables: serialising them can't fail.
-    let mut value = Value::try_from(file).unwrap_or(Value::Table(Table::new()));
-    round(&mut value);
-    toml::to_string(&value).unwrap_or_default()
-}
-
+/// Rounds numbers to millionths: of a metre, a degree or a pixel.
 fn round(value: &mut Value) {
     match value {
-        // Without the sign of a negative zero.
-        Value::Float(number) => *number = (*number * 1e6).round() / 1e6 + 0.0,
+        Value::Float(number) => *number = rounded(*number),
         Value::Array(values) => values.iter_mut().for_each(round),
         Value::Table(table) => table.iter_mut().for_each(|(_, value)| round(value)),
         _ => {}
     }
+}
+
+fn rounded(number: f64) -> f64 {
+    // Without the sign of a negative zero.
+    (number * 1e6).round() / 1e6 + 0.0
 }
 
 fn keep_or_write(path: &Path, text: &str) -> Result<(), RunError> {
@@ -123,13 +123,13 @@ fn robot_file(robot: &SimRobot, port: u16, has_lidar: bool) -> RobotFile {
         keys: None,
         sensor: format!("{}robot-{number}-sensor", if has_lidar { LIDAR } else { "" }).into(),
         wheels: format!("robot-{number}-wheels").into(),
-        radius_m: robot.radius_m(),
-        speed_m_s: robot.limits()[0],
-        turn_rad_s: robot.limits()[1],
+        radius_m: rounded(robot.radius_m()),
+        speed_m_s: rounded(robot.limits()[0]),
+        turn_rad_s: rounded(robot.limits()[1]),
         sensor_at_m: [mount.x.metres(), mount.y.metres()],
         // A lidar sees all around, whatever is stated.
         fov_deg: sensor.focal_px().map_or(RobotFile::FOV_DEG, |focal| {
-            2.0 * (sensor.beams() as f64 / 2.0 / focal).atan().to_degrees()
+            rounded(2.0 * (sensor.beams() as f64 / 2.0 / focal).atan().to_degrees())
         }),
         max_range_m: sensor.max_range_m().min(FARTHEST_M),
         resolution_m: RESOLUTION.metres(),
@@ -149,8 +149,10 @@ mod tests {
         file.insert("depth".into(), lens.into());
         file.insert("offset".into(), offset.into());
         file.insert("port".into(), 4_000.into());
+        let mut file = Value::Table(file);
+        round(&mut file);
         assert_eq!(
-            toml_of(&file),
+            toml::to_string(&file).unwrap(),
             "offset = [-0.015, 0.0, 0.0]\nport = 4000\n\n[depth]\nfx = 168.60482\n"
         );
     }

@@ -42,7 +42,7 @@ pub(super) fn robots(
         let doing = match (age, server.errand(robot)) {
             _ if !session => "is not connected".to_owned(),
             (Some(age), _) if age >= SILENT => {
-                format!("silent for {:.0} s: is it on, and in reach?", seconds(age))
+                format!("silent for {:.0} s (is it on, and in reach?)", seconds(age))
             }
             _ if stopped.contains(&robot) => "was told to stop".to_owned(),
             (_, None) => "has no known position".to_owned(),
