@@ -142,6 +142,9 @@ const SCOUT: &str = r#"
     odometry = { slip = 0.0, turn_slip = 0.0, noise_m = 0.0, heading_noise_deg = 0.0 }
 "#;
 
+/// The interval of [`RoomStage::tracks`].
+const TRACK_INTERVAL: Duration = Duration::from_millis(50);
+
 /// The errors of the robot and of its odometry, in metres and degrees.
 #[derive(Debug)]
 struct Off {
@@ -292,10 +295,10 @@ fn ten_metres_through_unmapped_ground() {
 /// it does because the server sends it somewhere.
 #[test]
 fn a_robot_that_boots_in_blind_ground_turns_on_the_spot_until_it_is_found() {
-    let start = "start = { x_m = 0.8, y_m = 1.6, heading_deg = 0.0 }";
-    let here = "start = { x_m = 4.0, y_m = 7.0, heading_deg = 30.0 }";
-    assert!(ROOMS.contains(start));
-    let scenario = Scenario::from_toml(&ROOMS.replace(start, here), "rooms.toml").unwrap();
+    let (rooms, _) = ROOMS.split_once("[[robots]]").unwrap();
+    let robot = "[[robots]]\nid = 1\nstart = { x_m = 4.0, y_m = 7.0, heading_deg = 30.0 }\n\
+                 route.waypoints_m = [[4.5, 7.0]]\n";
+    let scenario = Scenario::from_toml(&(rooms.to_owned() + robot), "rooms.toml").unwrap();
     let world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
     let began = world.robots()[0].truth();
     let config = config(&world.robots()[0], 1);
@@ -329,23 +332,23 @@ fn a_robot_that_boots_in_blind_ground_turns_on_the_spot_until_it_is_found() {
         let now = fleet.now();
         match (fleet.server().is_sought(RobotId(1)), sought) {
             (true, None) => sought = Some(now),
-            (false, Some(_)) if found.is_none() => {
-                found = Some((now, fleet.server().last_pose(RobotId(1)).unwrap().1));
-            }
+            (false, Some(_)) if found.is_none() => found = Some(now),
             _ => {}
         }
     });
     let sought = sought.expect("the server seeks it");
-    let (at, pose) = found.expect("it is found");
-    println!("sought from {sought:?}, found at {at:?} at {pose:?}");
-    // It has turned where it stood.
-    let (metres, _) = off(pose, began);
-    assert!(metres < 0.1, "it is found {metres} m off");
-    assert!(pose.heading.distance(began.heading) > Angle::from_degrees(20.0).0, "{pose:?}");
+    let found = found.expect("it is found");
+    // By then it has turned where it stood.
+    let at = found.since(Instant(0)).micros() / TRACK_INTERVAL.micros();
+    let stood = stage.tracks()[0][at as usize];
+    println!("sought at {sought:?}, found at {found:?} and {stood:?}, from {began:?}");
+    let (metres, degrees) = off(stood, began);
+    assert!(metres < 0.05 && degrees > 20.0, "{metres} m, {degrees} degrees");
     // Then it drives, and knows where it is.
     let truth = stage.world().robots()[0].truth();
     let believed = fleet.robots()[0].robot().pose().unwrap().1;
     let (metres, degrees) = off(believed, truth);
     assert!(metres < 0.1 && degrees < 3.0, "{metres} m, {degrees} degrees off");
+    println!("{metres:.3} m, {degrees:.2} degrees off at {truth:?}");
     assert!(off(truth, began).0 > 1.0, "it went nowhere: {truth:?}");
 }
