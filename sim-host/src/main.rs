@@ -113,12 +113,20 @@ enum Command {
     /// Draw sheets of the robots' markers to print, with the lines of the deployment that go with them
     Markers(MarkersOptions),
     /// Send a robot of the running server to a place
+    ///
+    /// It drives there by a way that the server finds through known free ground, also if it was stopped. When it
+    /// has arrived, a robot that explores (serve --explore, or the command explore) goes on exploring; another one
+    /// stays. To make it stay: ubimap stop ROBOT when it is there.
     Go(GoOptions),
     /// Stop a robot of the running server, or all
     Stop(RobotsOptions),
     /// Let a robot of the running server, or all, explore
     Explore(RobotsOptions),
     /// Show robots, cameras and map of the running server
+    ///
+    /// First comes each robot with its newest pose, from cameras or its own reports, whichever is newer, and what
+    /// it is doing. Below, each port has what the robot itself last reported, which is up to 2 s older, the
+    /// counters of its link, and its newest events: one that came several times is listed once, at its last time.
     Status(StatusOptions),
     /// Make, list and retire the keys of robots
     Keys(KeysOptions),
@@ -160,15 +168,11 @@ fn main() -> ExitCode {
     ) {
         interruption::listen();
     }
-    let level = match command {
-        // It runs until stopped: its messages are its only output.
-        Command::Serve(_) | Command::Robot(_) if !verbosity.quiet && verbosity.verbose == 0 => {
-            LevelFilter::Info
-        }
-        Command::Serve(_) | Command::Robot(_) if !verbosity.quiet => {
-            verbosity.level().max(LevelFilter::Debug)
-        }
-        _ => verbosity.level(),
+    let level = match runs_until_stopped(&command) && !verbosity.quiet {
+        // Its messages are its only output.
+        true if verbosity.verbose == 0 => LevelFilter::Info,
+        true => verbosity.level().max(LevelFilter::Debug),
+        false => verbosity.level(),
     };
     terminal::start_logging(level);
     let is_verbose = verbosity.verbose > 0;
@@ -189,7 +193,7 @@ fn main() -> ExitCode {
         Command::Serve(options) => serve(&options),
         Command::Robot(options) => robot::run(&options).map(|()| ExitCode::SUCCESS),
         #[cfg(target_os = "linux")]
-        Command::Rig(options) => rig::run(&options).and_then(|it| answered(&json_pretty(&it))),
+        Command::Rig(options) => rig(&options),
         Command::Record(options) => recording::run(&options).and_then(|it| answered(&it)),
         Command::Init(options) => init(&options),
         Command::Ports(options) => ports(&options),
@@ -215,6 +219,15 @@ fn main() -> ExitCode {
         Command::Decode(options) => decode(&options),
     };
     finished.unwrap_or_else(|error| fail(&error))
+}
+
+fn runs_until_stopped(command: &Command) -> bool {
+    match command {
+        Command::Serve(_) | Command::Robot(_) => true,
+        #[cfg(target_os = "linux")]
+        Command::Rig(_) => true,
+        _ => false,
+    }
 }
 
 /// Prints why a run failed. Returns the exit code.
@@ -286,6 +299,12 @@ fn serve(options: &ServeOptions) -> Result<ExitCode, RunError> {
     let report = serve::run(options)?;
     print(&if options.json { json_pretty(&report) } else { report.to_string() })?;
     Ok(status(report.has_robot() || interruption::is_requested()))
+}
+
+#[cfg(target_os = "linux")]
+fn rig(options: &RigOptions) -> Result<ExitCode, RunError> {
+    let report = rig::run(options)?;
+    answered(&if options.json { json_pretty(&report) } else { report.to_string() })
 }
 
 fn init(options: &InitOptions) -> Result<ExitCode, RunError> {

@@ -237,6 +237,17 @@ fn a_robot_is_monitored_and_its_parameters_are_read_and_set() {
     assert_eq!(sensor.end("-INT").0, Some(0));
     let get = printed(&folder, &["param", &port, "get", "gate-distance"]);
     assert!(get.starts_with("gate-distance = 35 mm"), "{get}");
+    // One that is killed can't do that: the next one says so, and does it.
+    let sensor = Beside::start(&folder, &["sensor", &port, "--plain"]);
+    thread::sleep(Duration::from_secs(6));
+    assert_eq!(sensor.end("-KILL").0, None);
+    let get = printed(&folder, &["param", &port, "get", "gate-distance"]);
+    assert!(get.starts_with("gate-distance = 0 mm"), "{get}");
+    let next = run(&folder, &["sensor", &port, "--plain", "--duration", "1"]);
+    let words = String::from_utf8(next.stderr).unwrap();
+    assert!(words.contains("gate-distance was 0 mm, as a killed"), "{words}");
+    let get = printed(&folder, &["param", &port, "get", "gate-distance"]);
+    assert!(get.starts_with("gate-distance = 35 mm"), "{get}");
 }
 
 #[test]

@@ -161,7 +161,7 @@ fn a_sealed_robot_is_served_after_every_boot_and_keys_change_while_all_run() {
     let lab = Lab::new("sealed", "keys = \"keys\"");
     lab.print(&["keys", "make", "1"]);
     let server = lab.start(&["serve", "deployment.toml", "--json", "-v"]);
-    lab.await_status(&["robot 1: ", "has no session"]);
+    lab.await_status(&["robot 1: ", "is not connected"]);
     // A fixed local port, so that a robot that was killed is welcomed at once.
     let local = std::net::UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let config = lab.robot_file(1, &format!("keys = \"keys\"\nlocal = \"{local}\""));
@@ -193,7 +193,7 @@ fn a_sealed_robot_is_served_after_every_boot_and_keys_change_while_all_run() {
     lab.await_status(&["robot 2: ", "has no known position"]);
     lab.print(&["keys", "retire", "2"]);
     server.await_line(&["robot 2 has no key any more"]);
-    lab.await_status(&["robot 2: ", "has no session"]);
+    lab.await_status(&["robot 2: ", "is not connected"]);
     robot.end();
 
     let report: Value = serde_json::from_str(&server.end()).unwrap();
@@ -228,6 +228,7 @@ fn the_frames_of_a_camera_are_recorded() {
         }
     }
     let told = recording.end();
+    assert!(!lab.folder.join("north.sock").exists(), "the camera's socket is left behind");
     assert!(told.starts_with("camera north: 3 frames\nrecorded in rec; "), "{told}");
     let watched = lab.print(&["watch", "rec", "--json", "--out", "watched"]);
     let report: Value = serde_json::from_str(&watched).unwrap();
@@ -252,21 +253,24 @@ fn commands_are_answered_in_words() {
     };
     assert!(refused(&["status"]).contains("no server answers"));
     let server = lab.start(&["serve", "deployment.toml", "--open", "--json"]);
-    lab.await_status(&["robot 1: never seen by a camera; has no session; never heard"]);
+    lab.await_status(&["robot 1: never seen by a camera; is not connected; never heard"]);
     let config = lab.robot_file(1, "");
     let robot = lab.start(&["robot", &config]);
     lab.await_status(&["robot 1: never seen by a camera; has no known position; heard "]);
     assert!(refused(&["go", "1", "1", "1"]).contains("the position of robot 1 is unknown"));
-    assert!(refused(&["go", "9", "1", "1"]).contains("robot 9"));
+    let nobody = "there is no robot 9; the robots are 1 (connected)";
+    assert!(refused(&["go", "9", "1", "1"]).contains(nobody));
+    assert!(refused(&["stop", "9"]).contains(nobody));
     assert_eq!(lab.print(&["stop"]), "stopped: 1\n");
     lab.await_status(&["robot 1: ", "was told to stop"]);
     assert_eq!(lab.print(&["explore", "1"]), "exploring: 1\n");
     // A second server for the same deployment is refused.
     let second = refused(&["serve", "deployment.toml", "--open"]);
-    assert!(second.contains("udp:127.0.0.1"), "{second}");
+    assert!(second.contains("udp:127.0.0.1") && second.contains("stop that one"), "{second}");
     drop(robot.end());
     let report: Value = serde_json::from_str(&server.end()).unwrap();
     assert_eq!(report["robots"][0]["robot"], 1);
+    assert!(!lab.folder.join("deployment.sock").exists(), "the socket is left behind");
     assert!(refused(&["status"]).contains("no server answers"));
 }
 

@@ -128,7 +128,7 @@ fn a_port_that_comes_back_is_served_again_and_a_signal_ends_the_service_in_order
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(0));
     let report = String::from_utf8(output.stdout).unwrap();
-    assert!(report.contains("port: robot 1, at 1.000 m, 2.000 m"), "{report}");
+    assert!(report.contains("port: robot 1; its own last report: at 1.000 m, 2.000 m"), "{report}");
     assert!(!folder.join("map.db-wal").exists(), "the store was not closed");
 }
 

@@ -1,27 +1,39 @@
 //! A robot whose wheels slip drives 10 m out of view of the cameras, after two rounds in view. It
 //! is localised by the learnt errors of its odometry, and by what it sees. `UBIMAP_SEEDS=10` drives
-//! ten times through each place.
+//! ten times through each place. And a robot that boots there, turned since it was last seen, turns on the spot
+//! until the server has found it.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
     ops::RangeInclusive,
 };
 
-use ubimap_agent::{Config, Memory, locate::OdometryNoise};
+use ubimap_agent::{
+    Config, Memory,
+    drive::{Driving, Gaze, Motion},
+    locate::OdometryNoise,
+};
 use ubimap_protocol::{
+    tile::Cell,
     time::{Duration, Instant},
     units::{Angle, Millimetres, Pose, RobotId},
 };
 use ubimap_sim_host::{
+    camera::{Observation, Sighting},
     channel::fault::Faults,
+    deployment,
     run::{
         fleet::Fleet,
         room_stage::RoomStage,
         simulate::{RESOLUTION, config},
     },
+    server::coordination::Settings,
     world::{Scenario, World},
 };
-use ubimap_tests::{deployments::bare, seeds::seeds};
+use ubimap_tests::{
+    deployments::{bare, deployed},
+    seeds::seeds,
+};
 
 /// An aisle of 17 m; the camera sees its west end.
 const HALL: &str = r#"
@@ -129,6 +141,9 @@ const SCOUT: &str = r#"
     route.speed_m_s = 0.9
     odometry = { slip = 0.0, turn_slip = 0.0, noise_m = 0.0, heading_noise_deg = 0.0 }
 "#;
+
+/// The interval of [`RoomStage::tracks`].
+const TRACK_INTERVAL: Duration = Duration::from_millis(50);
 
 /// The errors of the robot and of its odometry, in metres and degrees.
 #[derive(Debug)]
@@ -273,4 +288,67 @@ fn ten_metres_through_unmapped_ground() {
         let Drives { rms, .. } = drives(scenario, name, seeds(6));
         assert!(rms.0 <= 0.1 && rms.1 <= 2.0, "{name}: {rms:?}");
     }
+}
+
+/// It was carried, and turned by 130 degrees, while it was off. So what it sees from where it boots does not agree
+/// with the place where it was last seen: only different views lead to its pose, and those it gets by turning, which
+/// it does because the server sends it somewhere.
+#[test]
+fn a_robot_that_boots_in_blind_ground_turns_on_the_spot_until_it_is_found() {
+    let (rooms, _) = ROOMS.split_once("[[robots]]").unwrap();
+    let robot = "[[robots]]\nid = 1\nstart = { x_m = 4.0, y_m = 7.0, heading_deg = 30.0 }\n\
+                 route.waypoints_m = [[4.5, 7.0]]\n";
+    let scenario = Scenario::from_toml(&(rooms.to_owned() + robot), "rooms.toml").unwrap();
+    let world = World::new(&scenario, None, RESOLUTION, 1).unwrap();
+    let began = world.robots()[0].truth();
+    let config = config(&world.robots()[0], 1);
+    let motion = Motion { radius: 200, ..Motion::default() };
+    let gaze = Gaze { half_view: 0.6, reach: 2_500, radius: motion.radius };
+    let driving = Driving { motion, looks_at_goal: Some(gaze), ..Driving::default() };
+    let configs = [config.with_drive(Some(driving))];
+    let mut memory = [Memory::new(&configs[0].bounds)];
+
+    // The server knows the room but its east, and where the robot was before.
+    let settings = deployment::Config {
+        coordination: Some(Settings::default()),
+        ..deployment::Config::new(RESOLUTION)
+    };
+    let mut deployment = deployed(settings);
+    let truth = world.truth();
+    let cells = [(&truth.free, Cell::Free), (&truth.surfaces, Cell::Occupied)];
+    let cells = cells.into_iter().flat_map(|(cells, is)| cells.iter().map(move |it| (*it, is)));
+    let is_known = |&((x, _), _): &((i32, i32), Cell)| f64::from(x) * RESOLUTION.metres() < 6.2;
+    let before = Pose::from_metres(4.2, 6.8, -100_f64.to_radians());
+    let robots = vec![Sighting::usual(RobotId(1), before)];
+    let cells = cells.filter(is_known).collect();
+    deployment.observe(Observation { robots, cells, ..Observation::default() });
+    deployment.explore(RobotId(1), true);
+
+    let mut fleet = Fleet::new(&configs, &mut memory, Faults::default(), 1, deployment).unwrap();
+    let mut stage = RoomStage::new(world, Instant(0) + Duration::from_secs(60));
+    stage.hand_over();
+    let (mut sought, mut found) = (None, None);
+    let _ = fleet.run(&mut stage, |fleet| {
+        let now = fleet.now();
+        match (fleet.server().is_sought(RobotId(1)), sought) {
+            (true, None) => sought = Some(now),
+            (false, Some(_)) if found.is_none() => found = Some(now),
+            _ => {}
+        }
+    });
+    let sought = sought.expect("the server seeks it");
+    let found = found.expect("it is found");
+    // By then it has turned where it stood.
+    let at = found.since(Instant(0)).micros() / TRACK_INTERVAL.micros();
+    let stood = stage.tracks()[0][at as usize];
+    println!("sought at {sought:?}, found at {found:?} and {stood:?}, from {began:?}");
+    let (metres, degrees) = off(stood, began);
+    assert!(metres < 0.05 && degrees > 20.0, "{metres} m, {degrees} degrees");
+    // Then it drives, and knows where it is.
+    let truth = stage.world().robots()[0].truth();
+    let believed = fleet.robots()[0].robot().pose().unwrap().1;
+    let (metres, degrees) = off(believed, truth);
+    assert!(metres < 0.1 && degrees < 3.0, "{metres} m, {degrees} degrees off");
+    println!("{metres:.3} m, {degrees:.2} degrees off at {truth:?}");
+    assert!(off(truth, began).0 > 1.0, "it went nowhere: {truth:?}");
 }

@@ -1,4 +1,5 @@
-//! The server's commands reach a robot over a bad link and are answered.
+//! The server's commands reach a robot over a bad link and are answered; so do the robot's events and states reach
+//! the server.
 
 use ubimap_agent::{
     Bounds, Config, Memory, Parameter,
@@ -19,7 +20,7 @@ use ubimap_sim_host::{
     run::heap::BOUNDS,
     server::{Command, CommandError},
 };
-use ubimap_tests::star::{Member, Star};
+use ubimap_tests::star::{Finds, Member, Star};
 
 /// A robot with few readings and few tiles.
 const SENSOR: SensorModel = SensorModel::Radial { first: -1.5, step: 0.1 };
@@ -169,9 +170,56 @@ fn an_event_arrives_once_over_a_bad_link_and_is_not_repeated_for_a_while() {
         }
         star.run_until(seconds(70));
         let events = star.server().events(config.robot).unwrap();
-        let codes: Vec<u16> = events.newest().map(|(_, event)| event.code).collect();
-        let count = |code: EventCode| codes.iter().filter(|it| **it == code as u16).count();
-        assert_eq!(events.count(), codes.len() as u64, "seed {seed}");
+        let count = |code: EventCode| -> u32 {
+            let of_code = events.newest().filter(|it| it.event.code == code as u16);
+            of_code.map(|it| it.times).sum()
+        };
+        let all: u32 = events.newest().map(|it| it.times).sum();
+        assert_eq!(events.count(), u64::from(all), "seed {seed}");
         assert_eq!((count(EventCode::Started), count(EventCode::SensorFault)), (1, 4));
+    }
+}
+
+/// Another server counts time from another zero. The robot's newest pose has its time by the new server's clock,
+/// although no camera of that server sees the robot: it stands.
+#[test]
+fn a_robot_that_stands_tells_its_pose_in_the_time_of_the_server_that_took_over() {
+    let config = Config::new(RobotId(7), SENSOR, SMALL);
+    let pose = Pose::from_metres(1.0, 2.0, 0.5);
+    let tenth = Duration::from_millis(100);
+    for seed in 1..=6 {
+        let mut memory = Memory::new(&config.bounds);
+        let terms = Terms {
+            resolution: config.bounds.resolution,
+            frame: 250,
+            server_epoch: 1,
+            stores: false,
+        };
+        let mut star = Star::new(terms, 1, seed);
+        star.members.push(Member::new(config.robot, 0));
+        star.boot(0, config, &mut memory);
+        for _ in 0..100 {
+            star.run_until(star.now() + tenth);
+            star.fix(0, pose);
+            star.scan(0, Some(Pose::default()), &[1_000; 30]);
+        }
+        assert!(star.server().state(config.robot).is_some_and(|it| it.pose.is_some()));
+        // It has no disk: the new server starts with another clock, which may be ahead or behind.
+        let before = star.server_now();
+        star.restart_server(250, Finds::Disk, false);
+        println!("seed {seed}: from {before:?} to {:?}", star.server_now());
+        let mut told = 0;
+        for _ in 0..200 {
+            star.run_until(star.now() + tenth);
+            star.scan(0, Some(Pose::default()), &[1_000; 30]);
+            let Some(state) = star.server().state(config.robot) else { continue };
+            let (Some(time), Some(_)) = (state.time, state.pose) else { continue };
+            told += 1;
+            let now = star.server_now();
+            // A state is repeated every two seconds.
+            let is_recent = time <= now && now.since(time) < Duration::from_millis(2_500);
+            assert!(is_recent, "seed {seed}: at {now:?} the newest pose is of {time:?}");
+        }
+        assert!(told > 100, "seed {seed}: {told}");
     }
 }

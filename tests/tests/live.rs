@@ -112,7 +112,7 @@ impl System {
         let scenario =
             Path::new(env!("CARGO_MANIFEST_DIR")).join("../sim-host/scenarios/corner.toml");
         let (scenario, port) = (scenario.to_str().unwrap(), free.to_string());
-        let usual = ["rig", scenario, "--folder", ".", "--port", &port];
+        let usual = ["rig", scenario, "--folder", ".", "--port", &port, "--json"];
         let scores = ["--map", "ubimap-out/map.yaml", "--track", "track.csv"];
         let arguments = [&usual[..], &scores[..], rig].concat();
         let rig = process(&folder, "rig.log", &arguments);

@@ -214,7 +214,7 @@ impl Bench {
 
     fn codes(&self) -> Vec<u16> {
         let events = self.server.events(ROBOT).unwrap();
-        events.newest().map(|(_, event)| event.code).collect()
+        events.newest().map(|it| it.event.code).collect()
     }
 }
 

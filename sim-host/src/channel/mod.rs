@@ -2,7 +2,7 @@
 //!
 //! - [`wire`]: the two ends of a link, as traits, and their errors.
 //! - [`serial`], [`udp`], [`tcp`]: a serial port or pseudo-terminal, a UDP socket, a TCP listener.
-//! - [`unix_socket`]: the sockets that other programs of this machine connect to.
+//! - [`unix_socket`], [`socket_file`]: the sockets that other programs of this machine connect to, and their files.
 //! - [`process`]: standard input and output of a process.
 //! - [`address`]: where a port is, as text.
 //! - [`intake`]: the bytes from all ports in one queue, in order of arrival.
@@ -14,6 +14,7 @@ pub mod fault;
 pub mod intake;
 pub mod process;
 pub mod serial;
+pub mod socket_file;
 pub mod tcp;
 pub mod udp;
 #[cfg(unix)]

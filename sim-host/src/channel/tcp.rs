@@ -35,7 +35,7 @@ impl TcpListener {
         });
         match opened {
             Ok(listener) => Ok(Self { name, listener }),
-            Err(reason) => Err(WireError::Open { name, reason: reason.to_string() }),
+            Err(error) => Err(WireError::unbound(name, &error)),
         }
     }
 

@@ -61,7 +61,7 @@ impl UdpSocket {
         });
         match opened {
             Ok(socket) => Ok(Self { name, socket: Arc::new(socket) }),
-            Err(reason) => Err(WireError::Open { name, reason: reason.to_string() }),
+            Err(error) => Err(WireError::unbound(name, &error)),
         }
     }
 

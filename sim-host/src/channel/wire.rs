@@ -43,6 +43,21 @@ pub enum WireError {
     },
 }
 
+impl WireError {
+    /// The error for a socket that can't be bound.
+    pub(crate) fn unbound(name: String, error: &io::Error) -> Self {
+        let reason = match error.kind() {
+            io::ErrorKind::AddrInUse => {
+                "in use by another program, such as an ubimap serve that runs already; stop \
+                                         that one, or give another port"
+                    .to_owned()
+            }
+            _ => error.to_string(),
+        };
+        Self::Open { name, reason }
+    }
+}
+
 /// The end of a link at which bytes arrive.
 pub trait WireReader: Send {
     /// Reads bytes that have arrived, and waits up to `wait` for the first one. Returns their

@@ -31,7 +31,9 @@ impl fmt::Display for ServedRobot {
         write!(f, "robot {}: ", self.robot)?;
         match (self.pose, self.pose_s_ago) {
             (Some([x, y, heading]), Some(age)) => {
-                write!(f, "at {x:.2} m, {y:.2} m, {heading:.0} degrees, {age:.1} s ago")?;
+                // Without the sign of a negative zero.
+                let heading = heading.round() + 0.0;
+                write!(f, "at {x:.2} m, {y:.2} m, {heading} degrees, {age:.1} s ago")?;
             }
             _ => write!(f, "never seen by a camera")?,
         }
@@ -45,5 +47,28 @@ impl fmt::Display for ServedRobot {
             (None, _) => write!(f, "; never heard")?,
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_is_told_in_a_line() {
+        let robot = ServedRobot {
+            robot: 1,
+            session: true,
+            port: Some("udp:4000".into()),
+            heard_s_ago: Some(0.2),
+            pose: Some([2.0, 3.0, -0.3]),
+            pose_s_ago: Some(0.1),
+            is_sought: false,
+            doing: "has nothing to do".into(),
+        };
+        assert_eq!(
+            robot.to_string(),
+            "robot 1: at 2.00 m, 3.00 m, 0 degrees, 0.1 s ago; has nothing to do; heard 0.2 s ago at udp:4000"
+        );
     }
 }

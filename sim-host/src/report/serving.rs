@@ -87,7 +87,7 @@ pub struct PortSummary {
     pub state: Option<StateSummary>,
     /// Number of events that the robot reported.
     pub events: u64,
-    /// The newest events, oldest first.
+    /// The newest events, each once, in the order in which they last came.
     pub newest_events: Vec<EventSummary>,
     /// Number of time requests of the robot in its session.
     pub time_requests: u32,
@@ -182,11 +182,15 @@ pub struct StateSummary {
     pub cells_refused: u32,
 }
 
-/// An event reported by a robot.
+/// An event reported by a robot, once or several times.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct EventSummary {
-    /// When the report arrived, in seconds of the server's clock.
+    /// When the last report arrived, in seconds of the server's clock.
     pub received_s: f64,
+    /// When the first of them arrived.
+    pub first_s: f64,
+    /// Number of reports.
+    pub times: u32,
     /// Severity, kind and details as text.
     pub what: String,
 }
@@ -222,7 +226,7 @@ impl fmt::Display for ServeReport {
                 None => write!(f, "{}: no robot", port.port)?,
             }
             match port.state {
-                Some(state) => writeln!(f, ", {state}")?,
+                Some(state) => writeln!(f, "; its own last report: {state}")?,
                 None => writeln!(f)?,
             }
             writeln!(
@@ -237,7 +241,7 @@ impl fmt::Display for ServeReport {
                 writeln!(f, "    {} events; the newest:", port.events)?;
             }
             for event in &port.newest_events {
-                writeln!(f, "        {:.1} s: {}", event.received_s, event.what)?;
+                writeln!(f, "        {event}")?;
             }
         }
         if let Some(delays) = &self.delays {
@@ -258,6 +262,17 @@ impl fmt::Display for ServeReport {
             )?;
         }
         writeln!(f, "{:.1} s served", self.elapsed_s)
+    }
+}
+
+/// "98.5 s: Info: is at the end of its path (12 times since 15.7 s)".
+impl fmt::Display for EventSummary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.1} s: {}", self.received_s, self.what)?;
+        match self.times {
+            0 | 1 => Ok(()),
+            times => write!(f, " ({times} times since {:.1} s)", self.first_s),
+        }
     }
 }
 

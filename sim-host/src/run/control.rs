@@ -10,6 +10,8 @@ use clap::Args;
 use ubimap_protocol::units::RobotId;
 
 use super::RunError;
+#[cfg(unix)]
+use crate::channel::socket_file::SocketFile;
 
 /// Maximum length of a request in bytes.
 #[cfg(unix)]
@@ -177,7 +179,8 @@ fn ask(options: &ControlOptions, _: &str) -> Result<String, RunError> {
     Err(RunError::Control { path: socket(&options.deployment), reason })
 }
 
-/// Listens for requests; `answer` is called with each in a thread.
+/// Listens for requests; `answer` is called with each in a thread. Returns the socket's file, which is removed
+/// when that is dropped.
 ///
 /// # Errors
 /// [`WireError`](crate::channel::wire::WireError).
@@ -185,7 +188,7 @@ fn ask(options: &ControlOptions, _: &str) -> Result<String, RunError> {
 pub(super) fn listen(
     path: &Path,
     answer: impl Fn(Request) -> Result<String, String> + Send + 'static,
-) -> Result<(), crate::channel::wire::WireError> {
+) -> Result<SocketFile, crate::channel::wire::WireError> {
     use std::{
         io::{BufRead, BufReader, Read, Write},
         thread,
@@ -194,7 +197,7 @@ pub(super) fn listen(
 
     use crate::channel::{unix_socket, wire::WireError};
 
-    let listener = unix_socket::listen(path)?;
+    let (listener, file) = unix_socket::listen(path)?;
     let work = move || {
         for stream in listener.incoming() {
             let Ok(mut stream) = stream else {
@@ -218,7 +221,10 @@ pub(super) fn listen(
         }
     };
     let spawned = thread::Builder::new().name("control".into()).spawn(work);
-    spawned.map(drop).map_err(|reason| WireError::Io { name: path.display().to_string(), reason })
+    match spawned {
+        Ok(_) => Ok(file),
+        Err(reason) => Err(WireError::Io { name: path.display().to_string(), reason }),
+    }
 }
 
 #[cfg(test)]

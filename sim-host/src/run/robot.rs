@@ -2,6 +2,9 @@
 //! machine as in the firmware reads an A010 depth camera or an LD06 lidar and drives a Create 2; its link to
 //! the server is a serial port, UDP or TCP.
 
+mod contact;
+mod line;
+
 use std::{
     path::{Path, PathBuf},
     time,
@@ -34,15 +37,17 @@ use super::{
 use crate::{
     channel::{
         address::Address,
-        intake::{Arrival, Intake, Listening, What},
+        intake::{Arrival, Intake, What},
         serial::SerialPort,
         tcp,
         udp::UdpLink,
-        wire::{Wire, WireError, WireWriter},
     },
     files,
     report::OutputFile,
 };
+
+use contact::Contact;
+use line::Line;
 
 /// Speed of serial ports, other than a lidar's, in bits per second.
 const BAUD: u32 = 115_200;
@@ -50,8 +55,6 @@ const BAUD: u32 = 115_200;
 pub(in crate::run) const LIDAR: &str = "ld06:";
 /// Number of readings in a lidar's scan: one per degree.
 const LIDAR_READINGS: usize = 360;
-/// Interval between attempts to open a port that has hung up.
-const REOPEN_INTERVAL: Duration = Duration::from_secs(1);
 /// Maximum wait for an arrival, so that signals are noticed.
 const LONGEST_WAIT: Duration = Duration::from_millis(50);
 /// How long a connection to the server may take.
@@ -226,63 +229,6 @@ impl RobotFile {
     }
 }
 
-/// A port of the robot's computer.
-struct Line {
-    port: Port,
-    name: String,
-    opener: Box<dyn FnMut() -> Result<Wire, WireError>>,
-    open: Option<(Box<dyn WireWriter>, Listening)>,
-    next_attempt: Instant,
-    has_failed: bool,
-}
-
-impl Line {
-    fn new(
-        port: Port,
-        name: String,
-        opener: impl FnMut() -> Result<Wire, WireError> + 'static,
-    ) -> Self {
-        let opener = Box::new(opener);
-        Self { port, name, opener, open: None, next_attempt: Instant(0), has_failed: false }
-    }
-
-    /// Opens the port if that is due.
-    fn look_after(&mut self, intake: &mut Intake<()>, now: Instant) {
-        if self.open.is_some() || now < self.next_attempt {
-            return;
-        }
-        self.next_attempt = now + REOPEN_INTERVAL;
-        let opened =
-            (self.opener)().and_then(|Wire { reader, writer }| Ok((writer, intake.wire(reader)?)));
-        match opened {
-            Ok(open) => {
-                log::info!("{}: open", self.name);
-                (self.open, self.has_failed) = (Some(open), false);
-            }
-            Err(error) => {
-                if !self.has_failed {
-                    log::warn!("{error}; trying again every second");
-                }
-                self.has_failed = true;
-            }
-        }
-    }
-
-    fn write(&mut self, bytes: &[u8]) {
-        let Some((writer, _)) = &mut self.open else { return };
-        match writer.write(bytes) {
-            // A stalled line loses bytes, as one without flow control does.
-            Ok(()) | Err(WireError::Stalled { .. }) => {}
-            Err(error) => self.failed(&error),
-        }
-    }
-
-    fn failed(&mut self, error: &WireError) {
-        log::warn!("{error}; trying again every second");
-        (self.open, self.has_failed) = (None, true);
-    }
-}
-
 type Robot<'b, S> = Machine<'b, S, Create2, Option<Driving>>;
 
 /// Runs the robot until a signal interrupts; then its wheels stand.
@@ -307,6 +253,13 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
         Line::new(port, name, move || Ok(SerialPort::open(&path, baud)?.into_wire()))
     };
     let local = file.local;
+    log::info!(
+        "robot {}: sensor at {}, wheels at {}; Ctrl-C stops the wheels and ends",
+        file.id,
+        beside.join(file.lidar().unwrap_or(&file.sensor)).display(),
+        beside.join(&file.wheels).display()
+    );
+    let contact = Contact::new(server.to_string(), Instant(0));
     let link = Line::new(Port::Server, server.to_string(), move || match &server {
         Address::Serial(path) => Ok(SerialPort::open(path, BAUD)?.into_wire()),
         Address::Udp(address) => Ok(UdpLink::open(*address, local)?.into_wire()),
@@ -317,6 +270,7 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
         lines: [link, sensor, wheels],
         intake: Intake::default(),
         started: time::Instant::now(),
+        contact,
     };
     if let Some(path) = file.lidar() {
         let mut sectors = [0; LIDAR_READINGS];
@@ -357,6 +311,7 @@ struct Program {
     lines: [Line; 3],
     intake: Intake<()>,
     started: time::Instant,
+    contact: Contact,
 }
 
 impl Program {
@@ -369,6 +324,7 @@ impl Program {
             self.turn(machine);
         }
         let now = self.now();
+        log::info!("stops the wheels and ends");
         machine.stop(StopReason::Button, None, now);
         self.drain(machine);
         // The lines are dropped when the queued bytes are written.
@@ -386,13 +342,15 @@ impl Program {
                 break;
             };
             wait = time::Duration::ZERO;
-            let line = self.lines.iter_mut().find(|line| {
-                line.open.as_ref().is_some_and(|(_, listening)| listening.source() == source)
-            });
+            let line = self.lines.iter_mut().find(|line| line.is_source(source));
             match (what, line) {
                 (What::Bytes(bytes), Some(line)) => {
                     let since = at.saturating_duration_since(self.started);
-                    machine.receive(line.port, &bytes, Instant(since.as_micros() as u64));
+                    let at = Instant(since.as_micros() as u64);
+                    if line.port == Port::Server {
+                        self.contact.hears(at);
+                    }
+                    machine.receive(line.port, &bytes, at);
                     self.drain(machine);
                 }
                 (What::Failed(error), Some(line)) => line.failed(&error),
@@ -400,8 +358,14 @@ impl Program {
                 _ => {}
             }
         }
-        machine.timeout(self.now());
+        let now = self.now();
+        machine.timeout(now);
         self.drain(machine);
+        let robot = machine.robot();
+        if let Some((level, text)) = self.contact.follow(robot.is_connected(), robot.refusal(), now)
+        {
+            log::log!(level, "{text}");
+        }
     }
 
     /// Writes what is due at each port.

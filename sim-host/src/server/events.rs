@@ -15,8 +15,6 @@ use ubimap_protocol::{
 use super::{coordination::Notice, unread::Unread};
 use crate::perception::{Lying, robots::SightingEvent};
 
-/// Number of events kept per robot.
-const MAX_KEPT: usize = 8;
 /// Maximum number of events waiting to be polled; beyond it the oldest is dropped.
 const MAX_WAITING: usize = 1_000;
 
@@ -230,33 +228,6 @@ impl EventLimits {
     }
 }
 
-/// The events of one robot.
-#[derive(Clone, Debug, Default)]
-pub struct EventLog {
-    count: u64,
-    newest: VecDeque<(Instant, message::Event)>,
-}
-
-impl EventLog {
-    pub(super) fn add(&mut self, received: Instant, event: message::Event) {
-        self.count += 1;
-        self.newest.push_back((received, event));
-        if self.newest.len() > MAX_KEPT {
-            self.newest.pop_front();
-        }
-    }
-
-    /// Number of all events received.
-    pub fn count(&self) -> u64 {
-        self.count
-    }
-
-    /// The newest events with their time of reception, oldest first.
-    pub fn newest(&self) -> impl Iterator<Item = (Instant, &message::Event)> {
-        self.newest.iter().map(|(received, event)| (*received, event))
-    }
-}
-
 /// Misbehaviour of a robot, or trouble with its map data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RobotEvent {
@@ -410,7 +381,7 @@ pub fn described(event: &message::Event) -> String {
 
 /// Whether an event is part of normal operation: the robot or the server handles it, and the
 /// operator has nothing to do.
-fn is_routine(event: &message::Event) -> bool {
+pub(super) fn is_routine(event: &message::Event) -> bool {
     use EventCode::{PathBlocked, PathDone, PoseFound, PoseLost, Started, StoppedByPerson};
     let routine = [Started, PoseLost, PoseFound, StoppedByPerson, PathBlocked, PathDone];
     event.severity == Severity::Info
@@ -471,13 +442,7 @@ mod tests {
     use super::*;
 
     fn level(code: EventCode) -> log::Level {
-        let event = message::Event {
-            time: None,
-            severity: code.usual_severity(),
-            code: code as u16,
-            detail: Default::default(),
-        };
-        Event::Reported(RobotId(1), event).level()
+        Event::Reported(RobotId(1), event(code, "")).level()
     }
 
     #[test]
@@ -525,14 +490,14 @@ mod tests {
         assert!(joined(0).to_string().contains("ubimap provision"), "{}", joined(0));
     }
 
+    fn event(code: EventCode, detail: &str) -> message::Event {
+        let severity = code.usual_severity();
+        let detail = detail.parse().unwrap();
+        message::Event { time: None, severity, code: code as u16, detail }
+    }
+
     fn reported(detail: &str) -> Event {
-        let event = message::Event {
-            time: None,
-            severity: Severity::Warning,
-            code: EventCode::LowBattery as u16,
-            detail: detail.parse().unwrap(),
-        };
-        Event::Reported(RobotId(1), event)
+        Event::Reported(RobotId(1), event(EventCode::LowBattery, detail))
     }
 
     #[test]

@@ -18,6 +18,7 @@ pub mod coordination;
 mod correction;
 mod damaged;
 mod dispatch;
+mod event_log;
 mod events;
 mod inbox;
 mod inflow;
@@ -69,9 +70,8 @@ use crate::{
 
 pub use crate::perception::Footprint;
 pub use command::Command;
-pub use events::{
-    Event, EventKind, EventLog, PersonEvent, RobotEvent, Tally, about_number, described,
-};
+pub use event_log::{EventLog, LoggedEvent};
+pub use events::{Event, EventKind, PersonEvent, RobotEvent, Tally, about_number, described};
 pub use port::{MessageCounters, Policy};
 pub use ports::{CommandError, NoSuchPort};
 pub use unread::Unread;

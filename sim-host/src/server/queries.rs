@@ -13,7 +13,8 @@ use super::{
     Server,
     coordination::{Errand, Unexplored},
     dispatch::Dispatch,
-    events::{EventLog, PersonEvent, RobotEvent, Tally},
+    event_log::EventLog,
+    events::{PersonEvent, RobotEvent, Tally},
     port::{MessageCounters, Port},
     session::Session,
 };

@@ -451,7 +451,8 @@ impl<'b> Star<'b> {
         self.now = self.now.max(until);
     }
 
-    fn server_now(&self) -> Instant {
+    /// The time by the server's clock.
+    pub fn server_now(&self) -> Instant {
         Instant(self.now.since(self.started.0).micros() + self.started.1)
     }
 

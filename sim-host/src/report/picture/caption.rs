@@ -127,8 +127,12 @@ fn draw_sample(image: &mut RgbImage, sample: Sample, [left, top]: [u32; 2]) {
             fill(image, [left + 1, top + 1].map(i64::from), [SAMPLE - 2; 2], colour);
         }
         Sample::Marker(kind) => {
-            let centre = if kind == MarkerKind::Camera { at(0.15, 0.5) } else { at(0.5, 0.5) };
-            symbol(image, kind, centre, 0.5 * side, 0.0);
+            // A camera's reaches ahead of its place.
+            let (centre, radius) = match kind {
+                MarkerKind::Camera => (at(0.2, 0.5), 0.4 * side),
+                _ => (at(0.5, 0.5), 0.5 * side),
+            };
+            symbol(image, kind, centre, radius, 0.0);
         }
         Sample::Path => edged_line(image, &[at(0.1, 0.5), at(0.9, 0.5)], 1.3, ROBOT),
         Sample::View => {

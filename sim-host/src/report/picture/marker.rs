@@ -28,7 +28,7 @@ pub enum MarkerKind {
     Robot,
     /// A person: a violet disc.
     Person,
-    /// A camera that looks along its heading: a yellow wedge.
+    /// A camera that looks along its heading: a yellow square, and before it the tip of an arrow.
     Camera,
     /// A camera that looks straight down: a yellow square.
     CameraDown,
@@ -143,8 +143,11 @@ pub(super) fn symbol(
             stroke(image, [centre, at(0.9 * radius, 0.0)], radius * 0.15, INK);
         }
         MarkerKind::Camera => {
-            let [left, right] = [0.6, -0.6].map(|turn| at(1.6 * radius, turn));
-            edged_line(image, &[left, centre, right, left], radius * 0.2, CAMERA);
+            square(image, &|turn| at(0.6 * radius, turn), 0.2 * radius);
+            // Longer than wide, so that no other corner seems to be the tip.
+            let [left, right] = [0.75, -0.75].map(|turn| at(0.9 * radius, turn));
+            let tip = at(2.0 * radius, 0.0);
+            edged_line(image, &[left, tip, right], radius * 0.2, CAMERA);
         }
         MarkerKind::CameraOut => {
             for turn in [0.5, 1.5].map(|half| half * std::f64::consts::FRAC_PI_2) {
@@ -152,11 +155,16 @@ pub(super) fn symbol(
             }
         }
         MarkerKind::CameraDown => {
-            let corners = [0.5, 1.5, 2.5, 3.5, 0.5]
-                .map(|quarter: f64| at(0.9 * radius, quarter * std::f64::consts::FRAC_PI_2));
-            edged_line(image, &corners, radius * 0.2, CAMERA);
+            square(image, &|turn| at(0.9 * radius, turn), 0.2 * radius);
         }
     }
+}
+
+/// Draws a square; `corner` returns the corner at an angle.
+fn square(image: &mut RgbImage, corner: &dyn Fn(f64) -> [f64; 2], width: f64) {
+    let corners =
+        [0.5, 1.5, 2.5, 3.5, 0.5].map(|quarter: f64| corner(quarter * std::f64::consts::FRAC_PI_2));
+    edged_line(image, &corners, width, CAMERA);
 }
 
 /// Draws a text in a box beside a marker with this centre and radius in pixels. Nothing is drawn if

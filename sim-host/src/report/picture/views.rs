@@ -246,7 +246,7 @@ fn legend<'m>(cells: &[Entry], markers: impl Iterator<Item = &'m Marker> + Clone
     let kinds = [
         (MarkerKind::Robot, "robot"),
         (MarkerKind::Person, "person, as tracked"),
-        (MarkerKind::Camera, "camera"),
+        (MarkerKind::Camera, "camera, looks to the tip"),
         (MarkerKind::CameraDown, "camera that looks down"),
         (MarkerKind::CameraOut, "camera out of use: knocked, or away"),
     ];

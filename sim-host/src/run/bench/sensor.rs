@@ -87,14 +87,8 @@ pub fn run(options: &SensorOptions) -> Result<(), RunError> {
     bench.wait_for_robot()?;
     let get = ParameterAction::Get(Parameter::MountingX as u16);
     let mounting = bench.parameter(get)?.values.first().map_or(0, |it| it.value);
-    // The least change of its pose counts as a motion, after which a robot tells what it sees.
-    let gate = bench.replace(Parameter::GateDistance as u16, 0)?;
-    let shown = show(&mut bench, options, f64::from(mounting) / 1_000.0);
-    if let Some(gate) = gate {
-        let set = bench.set(Parameter::GateDistance as u16, gate);
-        bench.bid_farewell(set);
-    }
-    shown
+    bench.open_gate()?;
+    show(&mut bench, options, f64::from(mounting) / 1_000.0)
 }
 
 fn show(bench: &mut Bench, options: &SensorOptions, mounting_x: f64) -> Result<(), RunError> {

@@ -2,11 +2,12 @@
 
 use std::{collections::VecDeque, time};
 
+use ubimap_agent::{Parameter, map::Gate};
 use ubimap_protocol::{
     frame::{Key, MAX_FRAME},
     message::{
-        Hello, ParameterAction, ParameterCommand, ParameterOutcome, ParameterReport,
-        ParameterValue, RefusalReason, State,
+        Hello, ParameterAction, ParameterCommand, ParameterReport, ParameterValue, RefusalReason,
+        State,
     },
     tile::Cell,
     time::{Duration, Instant},
@@ -67,6 +68,8 @@ pub struct Bench {
     looks_ahead: bool,
     /// Whether commands must be sent when the session is left.
     has_farewell: bool,
+    /// The robot's gate as it was before [`Bench::open_gate`].
+    gate: Option<i32>,
 }
 
 impl Bench {
@@ -99,6 +102,7 @@ impl Bench {
             next_look: Instant(0),
             looks_ahead: false,
             has_farewell: false,
+            gate: None,
         })
     }
 
@@ -380,30 +384,67 @@ impl Bench {
         self.has_farewell |= self.command(command).is_ok();
     }
 
-    /// The command that sets a parameter, for [`Bench::bid_farewell`].
-    pub fn set(&mut self, parameter: u16, value: i32) -> Command {
-        self.commands += 1;
-        let action = ParameterAction::Set(ParameterValue { parameter, value });
-        Command::Parameter(ParameterCommand { number: self.commands, action })
-    }
-
-    /// Sets a parameter. Returns its value before; `None` if the robot does not have it.
+    /// Lets the robot's least change of pose count as a motion, after which it tells what it sees, until the
+    /// session is left. A program that was killed has left it so: that is said, and mended at the end.
     ///
     /// # Errors
     /// [`RunError::Bench`] if no answer comes.
-    pub fn replace(&mut self, parameter: u16, value: i32) -> Result<Option<i32>, RunError> {
-        let before = self.parameter(ParameterAction::Get(parameter))?;
-        let set = ParameterAction::Set(ParameterValue { parameter, value });
-        let report = self.parameter(set)?;
+    pub fn open_gate(&mut self) -> Result<(), RunError> {
+        let gate = Parameter::GateDistance as u16;
+        let before = self.parameter(ParameterAction::Get(gate))?;
         let before = before.values.first().map(|it| it.value);
-        Ok(before.filter(|_| report.outcome == ParameterOutcome::Done))
+        let (restored, was_left) = restored(before);
+        // Before the change, so that an answer that is lost does not keep it from being taken back.
+        self.gate = restored;
+        if let (true, Some(usual)) = (was_left, restored) {
+            log::warn!(
+                "{}: gate-distance was 0 mm, as a killed ubimap sensor or wheels leaves it: the robot will get the \
+                 usual {usual} mm at the end (or set it with ubimap param)",
+                self.name
+            );
+        }
+        let set = ParameterValue { parameter: gate, value: 0 };
+        self.parameter(ParameterAction::Set(set))?;
+        Ok(())
+    }
+
+    /// Takes [`Bench::open_gate`] back.
+    fn close_gate(&mut self) {
+        let Some(value) = self.gate.take() else { return };
+        self.commands += 1;
+        let set = ParameterValue { parameter: Parameter::GateDistance as u16, value };
+        let action = ParameterAction::Set(set);
+        let command = ParameterCommand { number: self.commands, action };
+        self.bid_farewell(Command::Parameter(command));
+    }
+}
+
+/// The gate to restore, in millimetres, by the one that was found; and whether that was left by a program that
+/// was killed.
+fn restored(found: Option<i32>) -> (Option<i32>, bool) {
+    match found {
+        Some(0) => (Some(Gate::default().distance.0), true),
+        found => (found, false),
     }
 }
 
 impl Drop for Bench {
     /// Sends what waits; a signal does not keep the robot from being stopped.
     fn drop(&mut self) {
+        self.close_gate();
         let end = self.now() + FAREWELL;
         while self.has_farewell && self.now() < end && self.turn().is_ok() {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gate_that_a_killed_program_has_left_open_is_closed() {
+        assert_eq!(restored(Some(50)), (Some(50), false));
+        assert_eq!(restored(Some(0)), (Some(35), true));
+        assert_eq!(restored(None), (None, false));
     }
 }

@@ -116,7 +116,7 @@ pub fn run(options: &WheelsOptions) -> Result<WheelsReport, RunError> {
     let get = ParameterAction::Get(Parameter::MountingX as u16);
     let mounting = bench.parameter(get)?.values.first().map_or(0, |it| it.value);
     let tilt = Tilt::new(f64::from(mounting) / 1_000.0, options.height);
-    let gate = bench.replace(Parameter::GateDistance as u16, 0)?;
+    bench.open_gate()?;
     let (paths, stops, next_pen) = (0, 0, Instant(0));
     let mut trial = Trial {
         bench,
@@ -131,10 +131,6 @@ pub fn run(options: &WheelsOptions) -> Result<WheelsReport, RunError> {
     let tried = trial.both();
     let Trial { mut bench, tries, tilt, .. } = trial;
     bench.bid_farewell(Command::Stop(Stop { number: u32::MAX, stop: true }));
-    if let Some(gate) = gate {
-        let set = bench.set(Parameter::GateDistance as u16, gate);
-        bench.bid_farewell(set);
-    }
     tried?;
     Ok(WheelsReport {
         schema: "ubimap-wheels",

@@ -203,7 +203,7 @@ fn errors_name_the_place_and_the_remedy() {
         (
             "# floor = [[0.2, 0.2],",
             "floor = [[\"a\", 0],",
-            "line 16: give a ROS map, as in \"floor.yaml\"",
+            "line 17: give a ROS map, as in \"floor.yaml\"",
         ),
         ("# floor = [[0.2, 0.2], [3.8, 0.2], [3.8,", "floor = [[3.8,", "floor: has 2 corners; a"),
         ("# floor = [[0.2", "floor = [[0.2", ""),

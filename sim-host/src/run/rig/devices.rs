@@ -31,6 +31,8 @@ pub(super) struct Devices {
     base: SimCreate2,
     /// The speed and the turn rate last passed to the room.
     driven: [f64; 2],
+    /// Whether the robot's program has ever sent anything to the wheels.
+    was_heard: bool,
 }
 
 /// A robot's sensor.
@@ -112,6 +114,7 @@ impl Devices {
             sees,
             base: SimCreate2::new().wired(wiring),
             driven: [0.0; 2],
+            was_heard: false,
         })
     }
 
@@ -138,6 +141,10 @@ impl Devices {
     /// Moves bytes between the ports and the devices, and the wheels in the room.
     pub(super) fn exchange(&mut self, robot: usize, stage: &mut dyn Stage, now: Instant) {
         let bytes = self.wheels.read();
+        if !bytes.is_empty() && !self.was_heard {
+            self.was_heard = true;
+            log::info!("{}: a robot's program is there", self.wheels.link.display());
+        }
         self.base.receive(&bytes, now);
         let bytes = self.sensor.read();
         let seen = match &mut self.sees {

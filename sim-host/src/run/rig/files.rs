@@ -46,17 +46,34 @@ pub(super) fn write(
     let cameras = FrameSource::cameras(world).iter().enumerate();
     let cameras = cameras.map(|(index, camera)| Value::from(camera_keys(index, camera)));
     deployment.insert("cameras".into(), cameras.collect::<Vec<_>>().into());
-    // Plain structs and tables: serialising them can't fail.
     let robots = registry(scenario).to_toml();
+    // Plain structs and tables: serialising them can't fail.
+    let mut deployment = Value::Table(deployment);
+    round(&mut deployment);
     let text = toml::to_string(&deployment).unwrap_or_default() + "\n" + &robots;
     keep_or_write(&folder.join("deployment.toml"), &text)?;
     for robot in world.robots() {
         let number = robot.id().0;
-        let text =
-            toml::to_string(&robot_file(robot, port, lidars.contains(&number))).unwrap_or_default();
+        let file = robot_file(robot, port, lidars.contains(&number));
+        let text = toml::to_string(&file).unwrap_or_default();
         keep_or_write(&folder.join(format!("robot-{number}.toml")), &text)?;
     }
     Ok(())
+}
+
+/// Rounds numbers to millionths: of a metre, a degree or a pixel.
+fn round(value: &mut Value) {
+    match value {
+        Value::Float(number) => *number = rounded(*number),
+        Value::Array(values) => values.iter_mut().for_each(round),
+        Value::Table(table) => table.iter_mut().for_each(|(_, value)| round(value)),
+        _ => {}
+    }
+}
+
+fn rounded(number: f64) -> f64 {
+    // Without the sign of a negative zero.
+    (number * 1e6).round() / 1e6 + 0.0
 }
 
 fn keep_or_write(path: &Path, text: &str) -> Result<(), RunError> {
@@ -106,15 +123,37 @@ fn robot_file(robot: &SimRobot, port: u16, has_lidar: bool) -> RobotFile {
         keys: None,
         sensor: format!("{}robot-{number}-sensor", if has_lidar { LIDAR } else { "" }).into(),
         wheels: format!("robot-{number}-wheels").into(),
-        radius_m: robot.radius_m(),
-        speed_m_s: robot.limits()[0],
-        turn_rad_s: robot.limits()[1],
+        radius_m: rounded(robot.radius_m()),
+        speed_m_s: rounded(robot.limits()[0]),
+        turn_rad_s: rounded(robot.limits()[1]),
         sensor_at_m: [mount.x.metres(), mount.y.metres()],
         // A lidar sees all around, whatever is stated.
         fov_deg: sensor.focal_px().map_or(RobotFile::FOV_DEG, |focal| {
-            2.0 * (sensor.beams() as f64 / 2.0 / focal).atan().to_degrees()
+            rounded(2.0 * (sensor.beams() as f64 / 2.0 / focal).atan().to_degrees())
         }),
         max_range_m: sensor.max_range_m().min(FARTHEST_M),
         resolution_m: RESOLUTION.metres(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_written_short_and_zeros_without_a_sign() {
+        let lens: Table =
+            [("fx".to_owned(), Value::Float(168.604_820_044_953_98))].into_iter().collect();
+        let offset = [-0.015_000_000_000_000_088, -1.2e-17, 0.0].map(Value::from).to_vec();
+        let mut file = Table::new();
+        file.insert("depth".into(), lens.into());
+        file.insert("offset".into(), offset.into());
+        file.insert("port".into(), 4_000.into());
+        let mut file = Value::Table(file);
+        round(&mut file);
+        assert_eq!(
+            toml::to_string(&file).unwrap(),
+            "offset = [-0.015, 0.0, 0.0]\nport = 4000\n\n[depth]\nfx = 168.60482\n"
+        );
     }
 }

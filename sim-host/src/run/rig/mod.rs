@@ -10,12 +10,12 @@ mod clock;
 mod devices;
 mod faults;
 mod files;
+mod report;
 mod sender;
 
 use std::{path::PathBuf, thread, time};
 
 use clap::Args;
-use serde::Serialize;
 use ubimap_protocol::{
     time::{Duration, Instant},
     units::Millimetres,
@@ -34,13 +34,14 @@ use super::{
 use crate::{
     camera::FrameSource,
     grid,
-    report::{OutputFile, TruthScores},
+    report::OutputFile,
     world::{Scenario, World},
 };
 
 use clock::{Step, WallClock};
 use devices::{Devices, Sensor};
 use faults::Fault;
+pub use report::RigReport;
 use sender::Sender;
 
 /// Interval between two looks at the devices.
@@ -94,29 +95,10 @@ pub struct RigOptions {
     /// Set the cameras' clock while the rig runs: at 60 s, forward by an hour
     #[arg(long, value_name = "60:3600")]
     pub set_clock: Option<Step>,
-}
 
-/// The truth about the room.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct RigReport {
-    /// Always "ubimap-rig".
-    pub schema: &'static str,
-    /// Version of the schema.
-    pub version: u32,
-    /// Each robot's number and true pose at the end: x and y in metres, heading in degrees.
-    pub robots: Vec<(u16, [f64; 3])>,
-    /// Contacts with walls, furniture and other robots.
-    pub collisions: u64,
-    /// Contacts with people.
-    pub touches: u64,
-    /// Frames sent by each camera, and those that were dropped because the server did not take them.
-    pub frames: Vec<(u64, u64)>,
-    /// Maximum time by which the room was behind the wall clock, in milliseconds.
-    pub late_ms: u64,
-    /// Scores of the server's map.
-    pub truth: Option<TruthScores>,
-    /// Duration in seconds.
-    pub elapsed_s: f64,
+    /// Print the report as JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Runs the room until the time is up or a signal interrupts.
@@ -161,6 +143,7 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
         senders.map(|(index, _)| Sender::start(options.folder.join(files::socket(index)), clock));
     let senders = senders.collect::<Result<Vec<_>, _>>()?;
 
+    announce(options, world.robots().len(), senders.len());
     let mut stage = RoomStage::filmed(world, Instant(u64::MAX));
     stage.hand_over();
     let elapsed = || Instant(clock.elapsed());
@@ -216,6 +199,24 @@ pub fn run(options: &RigOptions) -> Result<RigReport, RunError> {
         truth,
         elapsed_s: clock.elapsed() as f64 / 1e6,
     })
+}
+
+/// Says what there is, and what to do next.
+fn announce(options: &RigOptions, robots: usize, cameras: usize) {
+    let folder = options.folder.display();
+    log::info!(
+        "the room is there, with {cameras} cameras and {robots} robots: {folder}/deployment.toml"
+    );
+    log::info!("cameras wait for: ubimap serve {folder}/deployment.toml --open --explore");
+    log::info!(
+        "robots wait for: ubimap robot {folder}/robot-N.toml, each in a terminal of its own"
+    );
+    match options.duration {
+        Some(duration) => {
+            log::info!("it runs for {} s, or until Ctrl-C", duration.micros() / 1_000_000)
+        }
+        None => log::info!("it runs until Ctrl-C"),
+    }
 }
 
 /// The robots' true poses as a table, with the wall clock's time.

@@ -50,7 +50,14 @@ impl Sender {
             move || {
                 loop {
                     match UnixStream::connect(&socket) {
-                        Ok(connection) => feed(&shared, connection, &clock),
+                        Ok(connection) => {
+                            log::info!("{}: the server takes frames", socket.display());
+                            feed(&shared, connection, &clock);
+                            log::info!(
+                                "{}: the server has gone; waiting for it to come back",
+                                socket.display()
+                            );
+                        }
                         Err(_) => thread::sleep(RETRY),
                     }
                 }

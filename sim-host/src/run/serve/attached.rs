@@ -3,7 +3,7 @@
 
 use log::Level;
 use ubimap_protocol::{
-    message::{Event, State},
+    message::State,
     time::{Duration, Instant},
     units::{Pose, RobotId},
 };
@@ -16,7 +16,7 @@ use crate::{
     },
     deployment::PortStatus,
     report::{EventSummary, LinkSummary, PortSummary, StateSummary},
-    server::{self, EventLog, Server},
+    server::{self, EventLog, LoggedEvent, Server},
 };
 
 /// Interval between attempts to open a wire that has hung up.
@@ -232,9 +232,11 @@ impl Attached {
 }
 
 fn summaries(events: &EventLog) -> Vec<EventSummary> {
-    let summary = |(received, event): (Instant, &Event)| EventSummary {
-        received_s: seconds(received),
-        what: server::described(event),
+    let summary = |it: &LoggedEvent| EventSummary {
+        received_s: seconds(it.last),
+        first_s: seconds(it.first),
+        times: it.times,
+        what: server::described(&it.event),
     };
     events.newest().map(summary).collect()
 }

@@ -193,7 +193,8 @@ mod tests {
             is_placed: false,
         };
         let cameras = Arc::new(Cameras::new(1));
-        cameras.start(sources::open(&[camera], false).unwrap(), Clock::new(1.0)).unwrap();
+        let (sources, files) = sources::open(&[camera], false).unwrap();
+        cameras.start(sources, Clock::new(1.0)).unwrap();
         // The second sender's clock is a day ahead of the first one's.
         for (life, clock) in [(1, 0), (2, 86_400_000_000)] {
             let mut sender = UnixStream::connect(&path).unwrap();
@@ -217,6 +218,8 @@ mod tests {
         stranger.set_read_timeout(Some(WAIT)).unwrap();
         assert_eq!(stranger.read(&mut [0]).unwrap(), 0, "it was not hung up on");
         assert_eq!(cameras.states()[0].frames, 10);
+        drop(files);
+        assert!(!path.exists(), "the socket is left behind");
     }
 
     fn frame(camera: usize, captured: u64, has_depth: bool, waits: bool) -> LiveFrame {

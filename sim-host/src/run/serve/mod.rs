@@ -34,6 +34,8 @@ use ubimap_protocol::{
 use super::{
     RunError, control, deployment_file::DeploymentFile, interruption, keeper, options::ServeOptions,
 };
+#[cfg(unix)]
+use crate::channel::socket_file::SocketFile;
 use crate::{
     channel::{address::Address, serial::SerialPort},
     deployment::{self, Life},
@@ -144,12 +146,11 @@ fn serve_file(path: &Path, options: &ServeOptions) -> Result<ServeReport, RunErr
     if options.explore {
         station.explore(file.registry.robots.iter().map(|robot| RobotId(robot.id)));
     }
-    listen(path, &station)?;
+    // Whoever asks after the end finds no server.
+    let _control = listen(path, &station)?;
     let served = turn(&mut station, options, Some(&mut writer));
     let snapshot = station.snapshot();
     station.finish();
-    // Whoever asks now finds no server.
-    let _ = std::fs::remove_file(control::socket(path));
     served?;
     let report = writer.finish(snapshot?)?;
     log::info!("results in {}", file.out.display());
@@ -181,7 +182,7 @@ fn turn(
 
 /// Answers commands from now on.
 #[cfg(unix)]
-fn listen(path: &Path, station: &Station) -> Result<(), RunError> {
+fn listen(path: &Path, station: &Station) -> Result<SocketFile, RunError> {
     let feed = station.feed();
     Ok(control::listen(&control::socket(path), move |request| {
         let (answer, answered) = mpsc::channel();

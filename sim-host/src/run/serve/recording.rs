@@ -54,7 +54,7 @@ pub fn run(options: &RecordOptions) -> Result<String, RunError> {
         return Err(RunError::Deployment { path: path.clone(), reason });
     }
     let cameras = Arc::new(Cameras::new(file.cameras.len()));
-    let (sources, clock) = (sources::open(&file.cameras, false)?, Clock::new(1.0));
+    let ((sources, _files), clock) = (sources::open(&file.cameras, false)?, Clock::new(1.0));
     cameras.start(sources, clock)?;
     let named: Vec<_> = file.cameras.iter().map(|it| (it.name.clone(), placed(it))).collect();
     let mut recorder = Recorder::create_named(&options.out, &named)?;

@@ -24,11 +24,14 @@ use super::{
     standing::Standings,
 };
 use crate::{
-    channel::intake::{Arrival, Feed},
+    channel::{
+        intake::{Arrival, Feed},
+        socket_file::SocketFile,
+    },
     deployment::{Config, Deployment, Event, Life, Policy},
     grid::OccupancyGrid,
     perception::{Observer, robots::RegistryError},
-    report::{ServeReport, json_pretty},
+    report::{ServeReport, ServedRobot, json_pretty},
     run::{
         RunError,
         control::Request,
@@ -83,6 +86,8 @@ struct Watch {
     standings: Standings,
     plan: Option<Arc<OccupancyGrid>>,
     delays: Delays,
+    /// Removed with the station.
+    _sockets: Vec<SocketFile>,
 }
 
 impl Station {
@@ -118,7 +123,7 @@ impl Station {
         playback: Playback,
     ) -> Result<Self, RunError> {
         let observer = observer(&config, &deployed);
-        let sources = sources::open(&deployed, playback.every_frame)?;
+        let (sources, sockets) = sources::open(&deployed, playback.every_frame)?;
         let cameras = Arc::new(Cameras::new(deployed.len()));
         let mut number = 0..;
         let numbers = deployed.iter().map(|it| it.is_placed.then(|| number.next()).flatten());
@@ -129,6 +134,7 @@ impl Station {
             plan: plan.map(Arc::new),
             deployed,
             delays: Delays::default(),
+            _sockets: sockets,
         };
         let clock = Clock::new(playback.speed);
         let mut station = Self::with(config, life, links, keeper, (Eyes::Cameras(watch), clock))?;
@@ -303,6 +309,7 @@ impl Station {
                 })
             }
             Request::Go(robot, place) => {
+                robots::commandable(&self.robots(), robot)?;
                 self.deployment.goal(robot, place, now).map_err(|error| error.to_string())?;
                 self.stop(robot, false)?;
                 Ok(format!("robot {} goes to {} m, {} m\n", robot.0, place[0], place[1]))
@@ -316,7 +323,10 @@ impl Station {
     fn each(&mut self, robot: Option<RobotId>, stop: bool) -> Result<String, String> {
         let ports = self.deployment.status().ports;
         let robots: Vec<RobotId> = match robot {
-            Some(robot) => vec![robot],
+            Some(robot) => {
+                robots::commandable(&self.robots(), robot)?;
+                vec![robot]
+            }
             None => ports.iter().filter_map(|port| port.robot).collect(),
         };
         for &robot in &robots {
@@ -327,7 +337,7 @@ impl Station {
         let what = if stop { "stopped" } else { "exploring" };
         Ok(format!(
             "{what}: {}\n",
-            if names.is_empty() { "no robot".into() } else { names.join(", ") }
+            if names.is_empty() { "no robot: none is connected".into() } else { names.join(", ") }
         ))
     }
 
@@ -387,6 +397,12 @@ impl Station {
         }
     }
 
+    /// The state of the robots at this time.
+    fn robots(&self) -> Vec<ServedRobot> {
+        let Self { deployment, links, registered, stopped, .. } = self;
+        robots::robots(deployment, links, registered, stopped, self.now())
+    }
+
     /// The report on the robots and cameras at this time.
     pub fn report(&self) -> ServeReport {
         let summary = |(port, link): (_, &Attached)| {
@@ -399,12 +415,11 @@ impl Station {
                 results::cameras(deployed, &cameras.states(), standings, &self.deployment, now)
             }
         };
-        let Self { deployment, links, registered, stopped, .. } = self;
         ServeReport {
             schema: ServeReport::SCHEMA,
             version: ServeReport::VERSION,
-            robots: robots::robots(deployment, links, registered, stopped, now),
-            people: markers::tracked_people(deployment, now),
+            robots: self.robots(),
+            people: markers::tracked_people(&self.deployment, now),
             ports: self.links.iter().map(summary).collect(),
             cameras,
             delays: match &self.eyes {

@@ -5,7 +5,7 @@ use ubimap_protocol::{
     time::Instant,
 };
 
-use crate::server::{command, events::EventLog};
+use crate::server::{command, event_log::EventLog};
 
 /// The newest report of each kind, and counts.
 #[derive(Debug, Default)]

@@ -10,22 +10,23 @@ use std::path::Path;
 
 use crate::{
     camera::Calibration,
-    channel::wire::WireError,
+    channel::{socket_file::SocketFile, wire::WireError},
     run::deployment_file::{CameraSource, DeployedCamera},
 };
 pub(super) use live_source::{LiveFrame, LiveSource};
+
+/// Open sources, and the files of their sockets, which are removed when these are dropped: a source lives in a
+/// thread that ends with the process.
+pub(super) type Opened = (Vec<Box<dyn LiveSource>>, Vec<SocketFile>);
 
 /// Opens the sources of all cameras. The recorded folders are one source: their frames share a clock, and
 /// are played in the order in which they arrived, all of them if `every_frame`.
 ///
 /// # Errors
 /// [`WireError::Open`] if one can't be opened.
-pub(super) fn open(
-    cameras: &[DeployedCamera],
-    every_frame: bool,
-) -> Result<Vec<Box<dyn LiveSource>>, WireError> {
+pub(super) fn open(cameras: &[DeployedCamera], every_frame: bool) -> Result<Opened, WireError> {
     let mut sources: Vec<Box<dyn LiveSource>> = Vec::new();
-    let mut folders = Vec::new();
+    let (mut files, mut folders) = (Vec::new(), Vec::new());
     for (index, DeployedCamera { name, source, calibration, .. }) in cameras.iter().enumerate() {
         match source {
             CameraSource::Folder(folder) => folders.push((index, folder.clone())),
@@ -33,7 +34,9 @@ pub(super) fn open(
                 sources.push(Box::new(stream::tcp(index, name, *address)?));
             }
             CameraSource::UnixStream(path) => {
-                sources.push(Box::new(stream::unix(index, name, path)?));
+                let (source, file) = stream::unix(index, name, path)?;
+                sources.push(Box::new(source));
+                files.push(file);
             }
             CameraSource::V4l2 { depth, picture } => {
                 sources.extend(v4l2(
@@ -48,7 +51,7 @@ pub(super) fn open(
     if !folders.is_empty() {
         sources.push(Box::new(recording::Player::open(folders, every_frame)?));
     }
-    Ok(sources)
+    Ok((sources, files))
 }
 
 /// The devices of a camera, for depth and pictures.

@@ -13,7 +13,7 @@ use crate::{
         Frame, SenderClock,
         stream::{self, StreamedFrame},
     },
-    channel::wire::WireError,
+    channel::{socket_file::SocketFile, wire::WireError},
     run::serve::clock::Clock,
 };
 
@@ -80,10 +80,8 @@ pub(super) fn tcp(
     name: &str,
     address: SocketAddr,
 ) -> Result<impl LiveSource + use<>, WireError> {
-    let refuse = |error: io::Error| WireError::Open {
-        name: format!("camera {name}: stream:{address}"),
-        reason: error.to_string(),
-    };
+    let refuse =
+        |error: io::Error| WireError::unbound(format!("camera {name}: stream:{address}"), &error);
     if !address.ip().is_loopback() {
         log::warn!("camera {name}: stream:{address}: whoever reaches it can send frames");
     }
@@ -95,7 +93,7 @@ pub(super) fn tcp(
     }))
 }
 
-/// Listens to a Unix socket.
+/// Listens to a Unix socket. Returns its file, too.
 ///
 /// # Errors
 /// [`WireError::Open`].
@@ -104,13 +102,14 @@ pub(super) fn unix(
     camera: usize,
     name: &str,
     path: &Path,
-) -> Result<impl LiveSource + use<>, WireError> {
-    let listener = crate::channel::unix_socket::listen(path)?;
-    Ok(Stream::new(camera, name, move || {
+) -> Result<(impl LiveSource + use<>, SocketFile), WireError> {
+    let (listener, file) = crate::channel::unix_socket::listen(path)?;
+    let stream = Stream::new(camera, name, move || {
         let (connection, _) = listener.accept()?;
         connection.set_read_timeout(Some(SILENT))?;
         Ok(connection)
-    }))
+    });
+    Ok((stream, file))
 }
 
 /// Fails: there are no Unix sockets here.
@@ -122,7 +121,7 @@ pub(super) fn unix(
     _: usize,
     _: &str,
     path: &Path,
-) -> Result<Stream<fn() -> io::Result<io::Empty>, io::Empty>, WireError> {
+) -> Result<(Stream<fn() -> io::Result<io::Empty>, io::Empty>, SocketFile), WireError> {
     let reason = "this system has no Unix sockets; give stream:HOST:PORT".to_owned();
     Err(WireError::Open { name: path.display().to_string(), reason })
 }
