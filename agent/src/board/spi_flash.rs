@@ -2,7 +2,7 @@
 //!
 //! The image runs from this flash, which can't be read while it is written. So the ROM's routines write it, called by
 //! a function in RAM, with interrupts masked: up to 3 ms for a page, and 45 to 400 ms for a sector (W25Q16JV), every
-//! 246 boots. USB would not be served in that time, nor would the wheels: the slots are written before either starts.
+//! 245 boots. USB would not be served in that time, nor would the wheels: the slots are written before either starts.
 //!
 //! Not emulated; never tried on a board.
 
