@@ -11,7 +11,6 @@ use std::{
 };
 
 use clap::Parser;
-use ubimap_agent::flash::{MAGIC, UNPROVISIONED};
 use ubimap_protocol::{
     frame::{Attempt, HELLO_CLEAR_LEN, Key, MAX_SEALED_HANDSHAKE, cobs::Decoder, open_hello},
     units::RobotId,
@@ -96,9 +95,8 @@ impl Pico {
         fs::copy(pico_firmware(Core::M0)?, &image).unwrap();
         fs::write(&flash, []).unwrap();
         let pico = Self { folder: folder.to_owned(), flash, image, update };
-        let mut file = fs::read(pico.provisioned(1)).unwrap();
-        unprovision(&mut file);
-        fs::write(&pico.update, file).unwrap();
+        let [image, update] = [&pico.image, &pico.update].map(|it| it.to_str().unwrap());
+        provision(&[image, "--out", update]);
         Ok(pico)
     }
 
@@ -113,8 +111,7 @@ impl Pico {
         }
         let [image, key, file] = [&self.image, &key, &out].map(|it| it.to_str().unwrap());
         let robot = robot.to_string();
-        let line = ["provision", image, "--id", &robot, "--key", key, "--out", file];
-        provision::run(&CommandLine::parse_from(line).options).unwrap();
+        provision(&[image, "--id", &robot, "--key", key, "--out", file]);
         out
     }
 
@@ -154,17 +151,8 @@ impl Pico {
     }
 }
 
-/// Makes a UF2 file as if its image had never been provisioned.
-fn unprovision(file: &mut [u8]) {
-    let pages = file.chunks(512).enumerate();
-    let flash: Vec<(usize, u8)> = pages
-        .flat_map(|(index, block)| {
-            (512 * index + 32..).zip(block[32..288].to_vec()).collect::<Vec<_>>()
-        })
-        .collect();
-    let bytes: Vec<u8> = flash.iter().map(|(_, byte)| *byte).collect();
-    let seed = bytes.windows(MAGIC.len()).position(|window| window == MAGIC).unwrap();
-    for (&(at, _), byte) in flash[seed..].iter().zip(UNPROVISIONED) {
-        file[at] = byte;
-    }
+/// `ubimap provision` with these arguments.
+fn provision(arguments: &[&str]) {
+    let line = ["provision"].into_iter().chain(arguments.iter().copied());
+    provision::run(&CommandLine::parse_from(line).options).unwrap();
 }

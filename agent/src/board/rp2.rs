@@ -1,6 +1,6 @@
 //! The RP2040 and the RP2350: clocks, time, two UARTs, and a serial port over USB.
 //!
-//! By their HALs, which are alike. Not emulated; never tried on a board.
+//! By their HALs, which are alike. The RP2040 says Hello in an emulator (`tests/tests/pico.rs`); never tried on a board.
 
 use core::{cell::Cell, sync::atomic::AtomicU8};
 

@@ -4,7 +4,7 @@
 //! a function in RAM, with interrupts masked: up to 3 ms for a page, and 45 to 400 ms for a sector (W25Q16JV), every
 //! 245 boots. USB would not be served in that time, nor would the wheels: the slots are written before either starts.
 //!
-//! Not emulated; never tried on a board.
+//! Tried in the emulator rp2040js for the RP2040, with stand-ins for the ROM (`tests/tests/pico.rs`); never on a board.
 
 use core::{mem, ptr};
 
