@@ -5,6 +5,8 @@
 pub struct Image {
     /// Names of the symbols, mangled.
     pub symbols: Vec<String>,
+    /// Their values, in the same order: addresses, in which bit 0 marks Thumb code.
+    pub values: Vec<usize>,
     /// Bytes of flash.
     pub flash: usize,
     /// Bytes of static RAM.
@@ -42,11 +44,18 @@ impl Image {
                 let names = sections.get(section.link)?.bytes(elf)?;
                 for symbol in section.bytes(elf)?.chunks_exact(SYMBOL_BYTES) {
                     let name = names.get(word(symbol, 0)?..)?.split(|&byte| byte == 0).next()?;
+                    image.values.push(word(symbol, 4)?);
                     image.symbols.push(String::from_utf8_lossy(name).into_owned());
                 }
             }
         }
         Some(image)
+    }
+
+    /// The value of the symbol with this name.
+    pub fn value(&self, name: &str) -> Option<usize> {
+        let at = self.symbols.iter().position(|symbol| symbol == name)?;
+        self.values.get(at).copied()
     }
 
     /// Symbols of panics and of a heap, which a robot's image must not contain.

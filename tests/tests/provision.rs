@@ -70,14 +70,19 @@ fn the_image_says_its_number_and_without_one_moves_nothing() {
 fn the_images_for_picos_become_uf2_files_that_their_roms_take() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("picos");
     fs::create_dir_all(&folder).unwrap();
-    // By the chips' data sheets: the family, where the vector table is, and the end of the RAM.
-    for (core, family, vectors, stack) in
-        [(Core::M0, 0xE48B_FF56, 256, 0x2004_0000), (Core::M33, 0xE48B_FF59, 0, 0x2008_0000)]
-    {
+    // By the chips' data sheets: the family, where the vector table is, and the end of the RAM. By the boards': the end
+    // of the flash.
+    for (core, family, vectors, stack, end) in [
+        (Core::M0, 0xE48B_FF56, 256, 0x2004_0000, 0x1020_0000),
+        (Core::M33, 0xE48B_FF59, 0, 0x2008_0000, 0x1040_0000),
+    ] {
         let image = match pico_firmware(core) {
             Ok(image) => image,
             Err(error) => return leave_out("the images for Picos", &error),
         };
+        let elf = Image::parse(&fs::read(&image).unwrap()).unwrap();
+        let slots = end - 2 * 4096;
+        assert_eq!(elf.value("SLOTS"), Some(slots));
         let out = folder.join("robot.uf2");
         for (image, id) in [(&image, "7"), (&out, "8")] {
             let line = ["provision", image.to_str().unwrap(), "--id", id, "--out"];
@@ -98,6 +103,7 @@ fn the_images_for_picos_become_uf2_files_that_their_roms_take() {
             assert_eq!(word(508), 0x0AB1_6F30);
             flash.extend(&block[32..288]);
         }
+        assert!(0x1000_0000 + flash.len() <= slots, "{core:?}: the image reaches the slots");
         let word = |at: usize| u32::from_le_bytes(flash[at..at + 4].try_into().unwrap());
         assert_eq!(word(vectors), stack, "the initial stack pointer");
         let reset = word(vectors + 4);

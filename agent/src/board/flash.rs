@@ -1,5 +1,5 @@
 //! The slots of the robot's identity in the STM32F405's flash: its last two sectors, of 128 KiB each.
-//! Erasing one takes 1 to 2 s, in which the core stands still: every 32,728 boots.
+//! Erasing one takes 1 to 2 s, in which the core stands still: every 32,727 boots.
 //!
 //! The emulator ignores writing, so there a robot with a key refuses to run.
 

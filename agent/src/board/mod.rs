@@ -12,7 +12,7 @@ compile_error!("the robot has one sensor: choose one of the features ld06 and vl
 #[cfg_attr(not(feature = "rp2"), path = "stm32f405.rs")]
 mod chip;
 #[cfg(feature = "flash")]
-#[cfg_attr(feature = "rp2", path = "no_flash.rs")]
+#[cfg_attr(feature = "rp2", path = "spi_flash.rs")]
 mod flash;
 #[cfg(feature = "flash")]
 mod identity;

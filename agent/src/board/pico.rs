@@ -13,6 +13,8 @@
 //! | GP20, GP21 | GPIO20, GPIO21 | with `motors`: direction of the right motor (BIN1, BIN2) |
 //! | LED | GPIO25 | status LED (green), lit by a high level |
 
+use ubimap_agent::flash::Paged;
+
 use super::{
     Board, JournalPort,
     chip::{
@@ -20,7 +22,7 @@ use super::{
         hal::gpio::{FunctionSioOutput, Pin, PullDown, bank0::Gpio25},
         port,
     },
-    flash::NoFlash,
+    flash::Sectors,
     identity::identity,
     serial::DEVICE_QUEUES,
 };
@@ -33,6 +35,8 @@ impl Board {
     /// set up before, or the crystal does not start.
     pub(crate) fn take([_, sensor, wheels]: [u32; 3]) -> Option<Self> {
         let mut chip = chip::start()?;
+        // First, because nothing else runs while flash is written: no USB, no wheels, no watchdog.
+        let identity = identity(Paged(Sectors));
         let pins = chip.pins;
         let server = chip::start_usb(chip.usb)?;
         let parts = (chip.uart0, pins.gpio0, pins.gpio1);
@@ -62,7 +66,6 @@ impl Board {
             chip.system_clock,
             chip.clock,
         );
-        let identity = identity(NoFlash);
         chip.watchdog.begin();
         Some(Self {
             clock: chip.clock,

@@ -1,6 +1,6 @@
 //! The RP2040 and the RP2350: clocks, time, two UARTs, and a serial port over USB.
 //!
-//! By their HALs, which are alike. Not emulated; never tried on a board.
+//! By their HALs, which are alike. The RP2040 says Hello in an emulator (`tests/tests/pico.rs`); never tried on a board.
 
 use core::{cell::Cell, sync::atomic::AtomicU8};
 
@@ -44,6 +44,31 @@ use super::{
 #[unsafe(link_section = ".boot2")]
 #[used]
 static BOOT2: [u8; 256] = rp2040_boot2::BOOT_LOADER_W25Q080;
+
+/// Size of [`flash_setup`] in words.
+pub(super) const SETUP_WORDS: usize = 64;
+
+/// The code, for any place, that makes the flash readable after it was written: the second stage of the boot loader,
+/// which returns if it is called.
+#[cfg(feature = "pico")]
+pub(super) fn flash_setup() -> [u32; SETUP_WORDS] {
+    let mut words = [0; SETUP_WORDS];
+    let code = BOOT2.as_chunks().0;
+    words.iter_mut().zip(code).for_each(|(word, bytes)| *word = u32::from_le_bytes(*bytes));
+    words
+}
+
+/// The code, for any place, that makes the flash readable after it was written: the ROM has left it in its own RAM, from
+/// which nothing runs.
+#[cfg(feature = "pico2")]
+pub(super) fn flash_setup() -> [u32; SETUP_WORDS] {
+    const BOOT_RAM: *const [u32; SETUP_WORDS] = 0x400E_0000 as *const _;
+    #[allow(unsafe_code, reason = "it is read at its address")]
+    // SAFETY: the address is that of the boot RAM, which is always readable.
+    unsafe {
+        BOOT_RAM.read_volatile()
+    }
+}
 
 /// The ROM looks for this within the first 4 KiB of the flash: an image for the Arm cores.
 #[cfg(feature = "pico2")]

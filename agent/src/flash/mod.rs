@@ -6,6 +6,7 @@
 //! number and key, a seed replaces them, and a boot number is never used twice with a key, whatever
 //! is flashed, and wherever the power is cut.
 
+mod paged;
 mod record;
 mod slots;
 
@@ -14,6 +15,7 @@ mod model;
 #[cfg(test)]
 mod tests;
 
+pub use paged::{PAGE, Paged, PagedFlash};
 pub use record::{MAGIC, Record, SEED_LEN, Seed, UNPROVISIONED};
 pub use slots::{HEAD, NorFlash, Slot};
 

@@ -9,11 +9,14 @@
 //! | 32 | 124 | [`Record`] |
 //! | 156 | 4 | CRC-32 of bytes 16 to 155 |
 //! | 160 | | log: one word per boot, 0 once it is used |
+//! | end | one word | 0 once the other slot is void until a boot is logged in it |
 //!
 //! A writing erases the older slot, programs everything but its first word, reads it back, and then
 //! programs that word: until then the newer slot counts. A boot programs a word of the log. A word
 //! during which the power was cut may read differently at each boot, so the log ends after its last
-//! word that is not erased, and a slot's first word is programmed again before anything follows it.
+//! word that is not erased, and a slot's first word is programmed again before anything follows it. A writing that was
+//! cut at its first word, or while it was erased again, may look complete at one boot and damaged at the next: once a boot
+//! has found it damaged, the other slot's last word says that it is void.
 
 use ubimap_protocol::checksum::crc32;
 
@@ -27,7 +30,7 @@ pub trait NorFlash {
     /// programmed before is only ever programmed to zero.
     const WORD: usize;
 
-    /// Size of a slot in bytes, which is erased as a whole: more than [`HEAD`].
+    /// Size of a slot in bytes, which is erased as a whole: [`HEAD`] and two words at least.
     fn slot_len(&self) -> usize;
 
     /// Reads from a slot. The range is within the slot.
@@ -127,12 +130,15 @@ impl<'f, F: NorFlash> Slots<'f, F> {
             self.clear(old.slot, 0)?;
         }
         let current = if new.is_some() || is_damaged || logged >= self.log_len() {
+            let slot = old.map_or(Slot::First, |old| old.slot.other());
+            if is_damaged {
+                self.clear(slot.other(), self.last_word())?;
+            }
             let used = old.map_or(Some(0), |old| old.record.boots.checked_add(logged));
             // If the damaged slot was the newer one, its log has counted boots as well.
             let lost = if is_damaged { self.log_len() } else { 0 };
             let boots = used.ok_or(NotKept)?.max(record.boots).checked_add(lost).ok_or(NotKept)?;
             let number = old.map_or(0, |old| old.number.wrapping_add(1));
-            let slot = old.map_or(Slot::First, |old| old.slot.other());
             self.write(Writing { slot, number, seed, record: Record { boots, ..record.clone() } })?
         } else {
             newest.ok_or(NotKept)?
@@ -165,9 +171,14 @@ impl<'f, F: NorFlash> Slots<'f, F> {
         if start.iter().chain(&body).all(|&byte| byte == ERASED) {
             return Content::Erased;
         }
-        let is_finished = start.iter().take(F::WORD).all(|&byte| byte == 0);
+        let is_finished = start.iter().take(F::WORD).all(|&byte| byte == 0) && !self.is_void(slot);
         let writing = Writing::parse(slot, &body).filter(|_| is_finished);
         writing.map_or(Content::Damaged, Content::Complete)
+    }
+
+    /// Whether a boot has found a slot damaged, and none has used it since.
+    fn is_void(&self, slot: Slot) -> bool {
+        !self.is(slot.other(), self.last_word(), ERASED) && self.logged(slot) == 0
     }
 
     fn body(&self, slot: Slot) -> [u8; BODY_LEN] {
@@ -190,7 +201,12 @@ impl<'f, F: NorFlash> Slots<'f, F> {
 
     /// Number of words in a slot's log.
     fn log_len(&self) -> u32 {
-        (self.flash.slot_len().saturating_sub(HEAD) / F::WORD) as u32
+        (self.flash.slot_len().saturating_sub(HEAD) / F::WORD).saturating_sub(1) as u32
+    }
+
+    /// Where a slot's last word begins, behind the log.
+    fn last_word(&self) -> usize {
+        HEAD + self.log_len() as usize * F::WORD
     }
 
     /// Number of words of a slot's log that are used.

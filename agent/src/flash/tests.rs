@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use ubimap_protocol::{frame::Key, message::ParameterValue, units::RobotId};
 
 use super::{
-    model::{Model, TEARS},
+    model::{Model, Modelled, TEARS, Words},
     *,
 };
 
@@ -35,7 +35,7 @@ struct Oracle {
 
 impl Oracle {
     /// Boots once and checks the record and the number of the boot. The power may be cut meanwhile.
-    fn boot<const N: usize>(&mut self, flash: &mut Model<N>, seed: Option<&Seed>) {
+    fn boot(&mut self, flash: &mut impl Modelled, seed: Option<&Seed>) {
         let told = Slots::new(flash).boot(seed);
         let wanted = seed.map(|seed| Record { boots: 0, ..seed.record.clone() });
         if flash.is_off() {
@@ -70,18 +70,23 @@ fn script() -> Vec<Option<Seed>> {
     script
 }
 
-/// Cuts the power at every step of a script, and once more at every step of the boot that follows.
-fn cut_everywhere<const N: usize>() {
-    let (script, len) = (script(), HEAD + 3 * N);
-    let mut flash = Model::<N>::new(len, 1);
-    let mut oracle = Oracle::default();
+/// Cuts the power at every step of a script, and once more after `seconds` steps of the boot that
+/// follows. The slots have `len` bytes, and were booted `boots` times before. Returns the erasures of
+/// a script without a cut.
+fn cut_everywhere<F: Modelled>(len: usize, boots: usize, seconds: &[usize]) -> usize {
+    let (mut flash, mut oracle) = (F::of(Model::new(len, 1)), Oracle::default());
+    (0..boots).for_each(|_| oracle.boot(&mut flash, Some(&seed(28, 0))));
+    (flash.steps, flash.erasures) = (0, 0);
+    let (script, new) = (script(), (flash.clone(), oracle.clone()));
     script.iter().for_each(|seed| oracle.boot(&mut flash, seed.as_ref()));
-    assert!(flash.erasures >= 4, "the log was never full");
+    let erasures = flash.erasures;
     for (first, tear) in (0..flash.steps).flat_map(|at| TEARS.map(|tear| (at, tear))) {
-        // The second cut is never reached if it comes late.
-        for second in [0, 1, 2, 3, 20, HEAD / N, HEAD / N + 1, 9_999] {
-            let noise = (first * 64 + second) as u32;
-            let (mut flash, mut oracle) = (Model::<N>::new(len, noise), Oracle::default());
+        // The second cut is never reached if it comes late. Each is tried with other bits left by the
+        // cuts, and with a seed in the second boot or without.
+        for (second, luck) in seconds.iter().flat_map(|&it| (0..12).map(move |luck| (it, luck))) {
+            let noise = (first * 64 + second + luck * 99_991) as u32;
+            let (mut flash, mut oracle) = new.clone();
+            flash.noise = noise;
             flash.cut_after(first, tear);
             let mut seeds = script.iter();
             for seed in seeds.by_ref() {
@@ -91,20 +96,35 @@ fn cut_everywhere<const N: usize>() {
                 }
             }
             flash.power_on();
-            flash.cut_after(second, TEARS[noise as usize / 3 % TEARS.len()]);
-            oracle.boot(&mut flash, None);
+            flash.cut_after(second, TEARS[luck % TEARS.len()]);
+            let again = if luck % 3 == 0 { seeds.clone().next() } else { None };
+            oracle.boot(&mut flash, again.and_then(Option::as_ref));
             for seed in [None, None].iter().chain(seeds) {
                 flash.power_on();
                 oracle.boot(&mut flash, seed.as_ref());
             }
         }
     }
+    erasures
 }
 
+// The script has two seeds, for which a slot is erased; the other erasures are for full logs.
 #[test]
 fn a_cut_at_any_step_leaves_old_or_new_and_no_boot_number_twice() {
-    cut_everywhere::<4>();
-    cut_everywhere::<16>();
+    fn cut<const N: usize>() -> usize {
+        let steps = [0, 1, 2, 3, 4, 20, HEAD / N, HEAD / N + 1, 9_999];
+        cut_everywhere::<Words<N>>(HEAD + 4 * N, 0, &steps)
+    }
+    assert_eq!([cut::<4>(), cut::<16>()], [4, 4]);
+}
+
+/// The sectors and pages of a Raspberry Pi Pico's flash: new ones, and some with a full log.
+#[test]
+fn a_cut_at_any_page_of_a_pico_leaves_old_or_new_and_no_boot_number_twice() {
+    for (boots, erasures) in [(0, 2), (245, 3)] {
+        let found = cut_everywhere::<Paged<Model>>(4_096, boots, &[0, 1, 2, 3, 4, 9_999]);
+        assert_eq!(found, erasures, "{boots}");
+    }
 }
 
 proptest! {
@@ -114,7 +134,7 @@ proptest! {
         words in 1..9_usize,
         boots in prop::collection::vec((0..4_u16, 0..99_usize, 0..5_usize), 1..60),
     ) {
-        let (mut flash, mut oracle) = (Model::<8>::new(HEAD + 8 * words, noise), Oracle::default());
+        let (mut flash, mut oracle) = (Words::<8>(Model::new(HEAD + 8 * (words + 1), noise)), Oracle::default());
         for (number, steps, tear) in boots {
             flash.power_on();
             if let Some(&tear) = TEARS.get(tear) {
@@ -137,7 +157,7 @@ proptest! {
 #[test]
 fn a_failed_bit_costs_the_newest_record_but_repeats_no_boot_number() {
     for at in [0, 40, HEAD - 1] {
-        let (mut flash, mut oracle) = (Model::<4>::new(HEAD + 16, 5), Oracle::default());
+        let (mut flash, mut oracle) = (Words::<4>(Model::new(HEAD + 20, 5)), Oracle::default());
         for _ in 0..11 {
             oracle.boot(&mut flash, Some(&seed(6, 0)));
         }
@@ -148,7 +168,7 @@ fn a_failed_bit_costs_the_newest_record_but_repeats_no_boot_number() {
         oracle.boot(&mut flash, None);
         assert_eq!(oracle.last, 14);
         // The only slot that was ever written fails: the seed is taken again.
-        let (mut flash, mut oracle) = (Model::<4>::new(HEAD + 16, 5), Oracle::default());
+        let (mut flash, mut oracle) = (Words::<4>(Model::new(HEAD + 20, 5)), Oracle::default());
         for _ in 0..3 {
             oracle.boot(&mut flash, Some(&seed(6, 20)));
         }
@@ -160,7 +180,7 @@ fn a_failed_bit_costs_the_newest_record_but_repeats_no_boot_number() {
 
 #[test]
 fn a_slot_is_erased_once_per_log_of_boots() {
-    let (mut flash, mut oracle) = (Model::<4>::new(HEAD + 400, 5), Oracle::default());
+    let (mut flash, mut oracle) = (Words::<4>(Model::new(HEAD + 404, 5)), Oracle::default());
     for _ in 0..1_000 {
         oracle.boot(&mut flash, Some(&seed(6, 0)));
     }
@@ -169,7 +189,7 @@ fn a_slot_is_erased_once_per_log_of_boots() {
 
 #[test]
 fn a_seed_counts_on_from_the_higher_number() {
-    let mut flash = Model::<4>::new(HEAD + 400, 5);
+    let mut flash = Words::<4>(Model::new(HEAD + 404, 5));
     let mut boot = |seed| match identify(&mut flash, seed) {
         Identity::Known(record, seal) => (record.robot.0, seal.map(|seal| seal.boot)),
         other => panic!("{other:?}"),
@@ -183,14 +203,14 @@ fn a_seed_counts_on_from_the_higher_number() {
 
 #[test]
 fn a_flash_that_keeps_nothing_serves_an_open_link_only() {
-    let mut flash = Model::<4>::new(HEAD + 400, 5);
+    let mut flash = Words::<4>(Model::new(HEAD + 404, 5));
     assert_eq!(identify(&mut flash, None), Identity::Unknown);
     flash.is_read_only = true;
     assert_eq!(identify(&mut flash, None), Identity::Unknown);
     assert_eq!(identify(&mut flash, Some(seed(2, 0))), Identity::NotKept);
     assert_eq!(identify(&mut flash, Some(seed(3, 9))), Identity::Known(record(3, 9), None));
     // All numbers are used up.
-    let mut flash = Model::<4>::new(HEAD + 400, 5);
+    let mut flash = Words::<4>(Model::new(HEAD + 404, 5));
     assert_eq!(identify(&mut flash, Some(seed(2, u32::MAX))), Identity::NotKept);
 }
 

@@ -35,21 +35,22 @@ pub struct ProvisionOptions {
     #[arg(value_name = "IMAGE")]
     pub image: PathBuf,
 
-    /// The robot's number, 1 to 65535, unique in a deployment
+    /// The robot's number, 1 to 65535, unique in a deployment; without, --out gets the image as it is: if it was never
+    /// provisioned, an update that leaves a robot its number, key and parameters
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    pub id: u16,
+    pub id: Option<u16>,
 
     /// The robot's key, made by `ubimap keys make N`; without, its link is open
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "id")]
     pub key: Option<PathBuf>,
 
     /// A parameter that differs from the image's, in the units of SPEC.md; can be repeated
-    #[arg(long, value_name = "NAME=VALUE")]
+    #[arg(long, value_name = "NAME=VALUE", requires = "id")]
     pub set: Vec<String>,
 
     /// Where to write the image [default: in its place]; a name that ends in .uf2 makes a UF2 file of an ELF image
     /// for the RP2040 or RP2350
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", required_unless_present = "id")]
     pub out: Option<PathBuf>,
 }
 
@@ -96,23 +97,33 @@ pub fn run(options: &ProvisionOptions) -> Result<String, ProvisionError> {
     let path = &options.image;
     let mut image = files::read(path, MAX_IMAGE)
         .map_err(|error| ProvisionError::Read { path: path.clone(), error })?;
-    let key = options.key.as_deref().map(keys::read_key).transpose()?;
-    let parameters = parameters(&options.set)?;
-    // No boot number is used twice with a key if the robot boots less than once a second.
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let boots = u32::try_from(since.as_secs()).unwrap_or(u32::MAX / 2);
-    let record = Record { robot: RobotId(options.id), key, boots, parameters };
     let refuse = |fault| ProvisionError::Image { path: path.clone(), fault };
-    image::patch(&mut image, &Seed::to_bytes(&record)).map_err(refuse)?;
+    let what = match options.id {
+        Some(id) => {
+            let record = record(id, options)?;
+            image::patch(&mut image, &Seed::to_bytes(&record)).map_err(refuse)?;
+            let link = if record.key.is_some() { "a sealed link" } else { "an open link" };
+            format!("robot {id}, {link}, parameters set: {}", record.parameters.len())
+        }
+        None => format!("the image as {} has it", path.display()),
+    };
     let out: &Path = options.out.as_deref().unwrap_or(path);
     let is_uf2 = |path: &Path| path.extension().is_some_and(|it| it.eq_ignore_ascii_case("uf2"));
     if is_uf2(out) && !is_uf2(path) {
         image = uf2::from_elf(&image).map_err(refuse)?;
     }
     OutputFile::create(out)?.finish(&image)?;
-    let link = if record.key.is_some() { "a sealed link" } else { "an open link" };
-    let count = record.parameters.len();
-    Ok(format!("{}: robot {}, {link}, parameters set: {count}\n", out.display(), options.id))
+    Ok(format!("{}: {what}\n", out.display()))
+}
+
+/// The record of a robot.
+fn record(id: u16, options: &ProvisionOptions) -> Result<Record, ProvisionError> {
+    let key = options.key.as_deref().map(keys::read_key).transpose()?;
+    let parameters = parameters(&options.set)?;
+    // No boot number is used twice with a key if the robot boots less than once a second.
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let boots = u32::try_from(since.as_secs()).unwrap_or(u32::MAX / 2);
+    Ok(Record { robot: RobotId(id), key, boots, parameters })
 }
 
 /// The parameters of `NAME=VALUE`s. Of two values of one parameter the last one counts.
@@ -151,7 +162,7 @@ mod tests {
 
     fn options(image: PathBuf, set: &[&str]) -> ProvisionOptions {
         let set = set.iter().map(ToString::to_string).collect();
-        ProvisionOptions { image, id: 7, key: None, set, out: None }
+        ProvisionOptions { image, id: Some(7), key: None, set, out: None }
     }
 
     #[test]
