@@ -143,3 +143,124 @@ fn pause(board: &mut impl Board, time: Duration) {
 fn blinks(now: Instant) -> bool {
     now.micros() >> BLINK & 1 == 0
 }
+
+#[cfg(test)]
+mod tests {
+    use std::{collections::VecDeque, vec::Vec};
+
+    use ubimap_protocol::units::RobotId;
+
+    use super::*;
+    use crate::{
+        Bounds, Config, Memory,
+        device::{create2::Create2, ld06::Ld06},
+        memory,
+    };
+
+    const BOUNDS: Bounds = Bounds { readings: 360, ..Bounds::REFERENCE };
+
+    /// A board in whose time each turn takes a millisecond.
+    #[derive(Default)]
+    struct Model {
+        now: Instant,
+        arrived: [VecDeque<u8>; 3],
+        sent: [Vec<usize>; 3],
+        /// What the main loop was told.
+        heard: Vec<(Port, usize)>,
+        lit: Vec<bool>,
+        fed: usize,
+        waits: usize,
+    }
+
+    impl Board for Model {
+        fn now(&self) -> Instant {
+            self.now
+        }
+
+        fn read(&mut self, port: Port, bytes: &mut [u8]) -> usize {
+            let arrived = &mut self.arrived[port as usize];
+            let count = arrived.len().min(bytes.len());
+            bytes.iter_mut().zip(arrived.drain(..count)).for_each(|(place, byte)| *place = byte);
+            count
+        }
+
+        fn room(&mut self, port: Port) -> usize {
+            // A device takes one command per turn.
+            let is_full = port != Port::Server && self.sent[port as usize].len() > self.fed;
+            if is_full { MAX_COMMAND - 1 } else { DEFAULT_FRAME }
+        }
+
+        fn write(&mut self, port: Port, bytes: &[u8]) {
+            assert!(bytes.len() <= self.room(port), "{port:?}: {} bytes", bytes.len());
+            assert!(port == Port::Server || bytes.len() <= MAX_COMMAND);
+            self.sent[port as usize].push(bytes.len());
+        }
+
+        fn note(&mut self, _: Instant, entry: Entry<'_>) {
+            if let Entry::Received(port, bytes) = entry {
+                self.heard.push((port, bytes.len()));
+            }
+        }
+
+        fn feed_watchdog(&mut self) {
+            self.fed += 1;
+        }
+
+        fn show(&mut self, lit: bool) {
+            self.lit.push(lit);
+        }
+
+        fn wait(&mut self) {
+            self.waits += 1;
+        }
+    }
+
+    /// Turns the loop for a time in milliseconds. Returns the number of calls of `read_others`.
+    fn turns(board: &mut Model, served: &[Port], count: usize) -> usize {
+        let config = Config::new(RobotId(1), Ld06::sensor(360), BOUNDS);
+        let mut memory: std::boxed::Box<memory!(BOUNDS)> = std::boxed::Box::new(Memory::EMPTY);
+        let mut readings = [0; 360];
+        let sensor = Ld06::new(&mut readings);
+        let mut machine = Machine::new(config, &mut memory, sensor, Create2::new()).unwrap();
+        let (mut bytes, mut others) = ([0; DEFAULT_FRAME], 0);
+        for _ in 0..count {
+            turn(board, &mut machine, served, |_, _, _| others += 1, &mut bytes);
+            board.now = board.now + Duration::from_millis(1);
+        }
+        others
+    }
+
+    #[test]
+    fn only_served_ports_are_read_and_written() {
+        for served in [&Port::ALL[..], &[Port::Server]] {
+            let mut board = Model::default();
+            board.arrived = [0, 1, 2].map(|_| [0x55; 600].into());
+            assert_eq!(turns(&mut board, served, 5_000), 5_000);
+            let is_served = Port::ALL.map(|port| served.contains(&port));
+            assert_eq!(board.arrived.map(|left| left.is_empty()), is_served);
+            let mut ports: Vec<_> = board.heard.iter().map(|(port, _)| *port).collect();
+            ports.dedup();
+            assert_eq!(
+                board.heard.iter().map(|(_, count)| count).sum::<usize>(),
+                600 * served.len()
+            );
+            assert_eq!(ports[..served.len()], *served);
+            // It says Hello; the lidar needs no commands, the Create 2 does.
+            let sends = board.sent.map(|sent| !sent.is_empty());
+            assert_eq!(sends, [true, false, is_served[2]]);
+        }
+    }
+
+    #[test]
+    fn the_watchdog_is_fed_and_the_led_blinks_without_a_session() {
+        let mut board = Model::default();
+        turns(&mut board, &Port::ALL, 4_194);
+        // Half of the time, in eight periods of 2^19 us.
+        assert_eq!((board.fed, board.lit.len()), (4_194, 4_194));
+        let lit = board.lit.iter().filter(|lit| **lit).count();
+        assert!(lit.abs_diff(2_097) < 9, "{lit}");
+        let changes = board.lit.windows(2).filter(|pair| pair[0] != pair[1]).count();
+        assert_eq!(changes, 15);
+        assert!((3_000..4_194).contains(&board.waits), "{}", board.waits);
+    }
+}

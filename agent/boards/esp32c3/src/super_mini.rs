@@ -63,10 +63,9 @@ impl Board {
         WHEELS.open(uart.with_tx(chip.GPIO6).with_rx(chip.GPIO7), serve_wheels);
         let led = Output::new(chip.GPIO8, Level::High, OutputConfig::default());
 
-        let nonce = {
-            let _noise = TrngSource::new(chip.RNG, chip.ADC1);
-            Trng::try_new().ok()?.random()
-        };
+        let noise = TrngSource::new(chip.RNG, chip.ADC1);
+        let nonce = Trng::try_new().ok()?.random();
+        drop(noise);
         let watchdog = TimerGroup::new(chip.TIMG1).wdt;
         let chip = Chip {
             flash: chip.FLASH,
