@@ -21,8 +21,8 @@ use smoltcp::{
 };
 use ubimap_agent::flash::Wireless;
 
-/// Time between attempts to connect.
-const RETRY: Duration = Duration::from_secs(1);
+/// Time after an attempt to connect, or between two looks at the connection.
+const INTERVAL: Duration = Duration::from_secs(1);
 
 /// Starts the radio as a station of a network. Without a password the network is open; otherwise it has
 /// WPA2.
@@ -42,13 +42,14 @@ pub(crate) fn start(
     Ok(controller)
 }
 
-/// Connects to the network whenever it is not connected.
+/// Connects to the network whenever it is not connected. It must be polled, since it wakes nobody.
 pub(crate) async fn stay_connected(mut controller: WifiController<'static>) -> Infallible {
     loop {
-        if controller.connect_async().await.is_ok() {
-            let _ = controller.wait_for_disconnect_async().await;
+        if !controller.is_connected() {
+            // Whether it fails is seen in a second.
+            let _ = controller.connect_async().await;
         }
-        let end = Instant::now() + RETRY;
+        let end = Instant::now() + INTERVAL;
         future::poll_fn(|_| if Instant::now() < end { Poll::Pending } else { Poll::Ready(()) })
             .await;
     }

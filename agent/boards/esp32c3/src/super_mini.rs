@@ -16,7 +16,7 @@ use esp_hal::{
     rtc_cntl::SocResetReason,
     system, time,
     timer::timg::{MwdtStage, Timer, TimerGroup, Wdt},
-    uart::{self, Uart},
+    uart::{self, RxConfig, Uart},
 };
 use esp_rtos::CurrentThreadHandle;
 use ubimap_agent::{Port, firmware, journal::Entry};
@@ -29,6 +29,9 @@ use crate::{
 
 /// The watchdog resets the robot if the main loop has not run for this time.
 const WATCHDOG: time::Duration = time::Duration::from_secs(2);
+
+/// Number of received bytes at which a port's interrupt comes: a quarter of what the hardware holds.
+const RX_THRESHOLD: u16 = 32;
 
 /// The devices that the main loop uses.
 pub(crate) struct Board {
@@ -56,7 +59,8 @@ impl Board {
     pub(crate) fn take([_, sensor, wheels]: [u32; 3]) -> Option<(Self, Chip)> {
         let was_reset_by_watchdog = system::reset_reason() == Some(SocResetReason::CoreMwdt1);
         let chip = esp_hal::init(esp_hal::Config::default().with_cpu_clock(CpuClock::max()));
-        let port = |baud| uart::Config::default().with_baudrate(baud);
+        let rx = RxConfig::default().with_fifo_full_threshold(RX_THRESHOLD);
+        let port = |baud| uart::Config::default().with_baudrate(baud).with_rx(rx);
         let uart = Uart::new(chip.UART0, port(sensor)).ok()?;
         SENSOR.open(uart.with_tx(chip.GPIO4).with_rx(chip.GPIO5), serve_sensor);
         let uart = Uart::new(chip.UART1, port(wheels)).ok()?;

@@ -17,6 +17,11 @@ pub enum ImageFault {
     /// The magic is there more than once, or the image ends within its seed.
     #[error("has several places for what was given, or an incomplete one; build it anew")]
     WrongPlace,
+    /// An image file of Espressif's, whose checksum would no longer fit.
+    #[error(
+        "has a checksum, so a robot's number can't be written into it; give the ELF that it is made of"
+    )]
+    Summed,
     /// An ELF for a chip that takes no UF2 files, or another kind of file.
     #[error("can't become a UF2 file: it is not an ELF image for an RP2040 or RP2350")]
     NoUf2,
@@ -37,6 +42,8 @@ pub(super) fn patch(image: &mut [u8], bytes: &[u8]) -> Result<(), ImageFault> {
         segments.into_iter().map(|(_, range)| vec![range]).collect()
     } else if word(image, 0) == Some(UF2_MAGIC[0]) {
         blocks(image).ok_or(ImageFault::Damaged("blocks"))?
+    } else if image.first() == Some(&ESPRESSIF_MAGIC) {
+        return Err(ImageFault::Summed);
     } else {
         vec![vec![0..image.len()]]
     };
@@ -61,6 +68,9 @@ pub(super) fn patch(image: &mut [u8], bytes: &[u8]) -> Result<(), ImageFault> {
         _ => Err(ImageFault::WrongPlace),
     }
 }
+
+/// The first byte of Espressif's image files. The others begin with the address of a stack, which is even.
+const ESPRESSIF_MAGIC: u8 = 0xE9;
 
 /// The first bytes of an ELF.
 pub(super) const ELF_MAGIC: &[u8] = b"\x7FELF";
@@ -197,6 +207,14 @@ mod tests {
                 assert!(patched == image);
             }
         }
+    }
+
+    #[test]
+    fn images_with_a_checksum_are_refused() {
+        let mut image = [&[ESPRESSIF_MAGIC, 5, 2, 0x20][..], &flash()].concat();
+        let given = image.clone();
+        assert_eq!(patch(&mut image, &SEED), Err(ImageFault::Summed));
+        assert!(image == given);
     }
 
     #[test]
