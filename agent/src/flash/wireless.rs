@@ -72,7 +72,8 @@ impl Wireless {
 
     /// The network in these bytes of an image; `None` if there is none.
     pub fn parse(bytes: &[u8; WIRELESS_LEN]) -> Option<Self> {
-        if bytes[..16] != MAGIC || bytes[CRC..] != crc32(&[&bytes[..CRC]]).to_le_bytes() {
+        // The magic is not compared, as it would be in the image once more; the CRC covers it.
+        if bytes[CRC..] != crc32(&[&bytes[..CRC]]).to_le_bytes() {
             return None;
         }
         let address: [u8; 4] = *bytes[16..].first_chunk()?;

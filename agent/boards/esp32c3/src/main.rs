@@ -12,7 +12,6 @@ mod configuration;
 #[path = "../../../src/bin/firmware/driving.rs"]
 mod driving;
 mod flash;
-mod link;
 mod provisioned;
 mod radio;
 mod serial;
@@ -38,8 +37,9 @@ use ubimap_agent::{
 
 use configuration::{BAUDS, BOUNDS, SLICE_LENGTH};
 use flash::Sectors;
-use link::{Buffers, Link};
+use radio::Radio;
 use super_mini::{Board, Chip};
+use udp_link::{Buffers, Link};
 
 esp_bootloader_esp_idf::esp_app_desc!();
 
@@ -89,9 +89,9 @@ fn run(board: &mut Board, chip: Chip) -> Fault {
 
     esp_rtos::start(chip.scheduler_timer, chip.scheduler_interrupt);
     let Ok(controller) = radio::start(chip.radio, &wireless) else { return Fault::Network };
-    let connection = Box::pin(radio::stay_connected(controller));
-    let server = IpEndpoint::from(wireless.server);
-    board.link = Some(Link::new(connection, BUFFERS.take(), server, chip.nonce, board.now()));
+    board.connection = Some(Box::pin(radio::stay_connected(controller)));
+    let (server, now) = (IpEndpoint::from(wireless.server), board.now());
+    board.link = Some(Link::new(Radio::new(), BUFFERS.take(), server, chip.nonce, now));
     board.start_watchdog();
     if chip.was_reset_by_watchdog {
         machine.report_watchdog(board.now());

@@ -20,6 +20,7 @@ use smoltcp::{
     wire::EthernetAddress,
 };
 use ubimap_agent::flash::Wireless;
+use udp_link::Station;
 
 /// Time after an attempt to connect, or between two looks at the connection.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -56,20 +57,21 @@ pub(crate) async fn stay_connected(mut controller: WifiController<'static>) -> I
 }
 
 /// The station's frames.
-pub(crate) struct Station(Interface);
+pub(crate) struct Radio(Interface);
 
-impl Station {
+impl Radio {
     /// The station; it is there once.
     pub(crate) fn new() -> Self {
         Self(Interface::station())
     }
+}
 
-    pub(crate) fn address(&self) -> EthernetAddress {
+impl Station for Radio {
+    fn address(&self) -> EthernetAddress {
         EthernetAddress(self.0.mac_address())
     }
 
-    /// Whether the station is connected to its network.
-    pub(crate) fn is_up(&mut self) -> bool {
+    fn is_up(&mut self) -> bool {
         self.0.link_state(&mut unheard()) == LinkState::Up
     }
 }
@@ -79,7 +81,7 @@ fn unheard() -> Context<'static> {
     Context::from_waker(Waker::noop())
 }
 
-impl Device for Station {
+impl Device for Radio {
     type RxToken<'a> = Received<<Interface as Driver>::RxToken<'a>>;
     type TxToken<'a> = ToSend<<Interface as Driver>::TxToken<'a>>;
 

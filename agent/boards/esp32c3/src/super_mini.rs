@@ -8,6 +8,13 @@
 //! | 6, 7 | GPIO6, GPIO7 | UART1, to and from the wheels |
 //! | 8 | GPIO8 | status LED (blue), lit by a low level |
 
+use alloc::boxed::Box;
+use core::{
+    convert::Infallible,
+    pin::Pin,
+    task::{Context, Waker},
+};
+
 use esp_hal::{
     clock::CpuClock,
     gpio::{Level, Output, OutputConfig},
@@ -18,12 +25,18 @@ use esp_hal::{
     timer::timg::{MwdtStage, Timer, TimerGroup, Wdt},
     uart::{self, RxConfig, Uart},
 };
+use esp_println::println;
 use esp_rtos::CurrentThreadHandle;
-use ubimap_agent::{Port, firmware, journal::Entry};
+use ubimap_agent::{
+    Port,
+    firmware::{self, Board as _},
+    journal::Entry,
+};
 use ubimap_protocol::time::Instant;
+use udp_link::{Change, Link};
 
 use crate::{
-    link::Link,
+    radio::Radio,
     serial::{SENSOR, Serial, WHEELS, serve_sensor, serve_wheels},
 };
 
@@ -38,7 +51,9 @@ pub(crate) struct Board {
     led: Output<'static>,
     watchdog: Wdt<TIMG1<'static>>,
     /// The link to the server, once the radio runs.
-    pub(crate) link: Option<Link>,
+    pub(crate) link: Option<Link<Radio>>,
+    /// What keeps the radio connected.
+    pub(crate) connection: Option<Pin<Box<dyn Future<Output = Infallible>>>>,
 }
 
 /// The rest of the chip, for the start.
@@ -79,7 +94,7 @@ impl Board {
             nonce,
             was_reset_by_watchdog,
         };
-        Some((Self { led, watchdog, link: None }, chip))
+        Some((Self { led, watchdog, link: None, connection: None }, chip))
     }
 }
 
@@ -88,6 +103,22 @@ impl Board {
     pub(crate) fn start_watchdog(&mut self) {
         self.watchdog.set_timeout(MwdtStage::Stage0, WATCHDOG);
         self.watchdog.enable();
+    }
+
+    /// Lets the radio and the link do what is due.
+    fn poll(&mut self) {
+        if let Some(connection) = &mut self.connection {
+            let _ = connection.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        }
+        let now = self.now();
+        while let Some(change) = self.link.as_mut().and_then(|link| link.poll(now)) {
+            match change {
+                Change::Up => println!("ubimap: Wi-Fi is connected"),
+                Change::Down => println!("ubimap: Wi-Fi is disconnected"),
+                Change::Address(address) => println!("ubimap: the robot's address is {address}"),
+                Change::NoAddress => println!("ubimap: the robot has no address"),
+            }
+        }
     }
 }
 
@@ -106,15 +137,11 @@ impl firmware::Board for Board {
     }
 
     fn read(&mut self, port: Port, bytes: &mut [u8]) -> usize {
-        let now = self.now();
-        match (serial(port), &mut self.link) {
-            (Some(serial), _) => serial.read(bytes),
-            (None, Some(link)) => {
-                link.poll(now);
-                link.read(bytes)
-            }
-            (None, None) => 0,
+        if let Some(serial) = serial(port) {
+            return serial.read(bytes);
         }
+        self.poll();
+        self.link.as_mut().map_or(0, |link| link.read(bytes))
     }
 
     fn room(&mut self, port: Port) -> usize {
@@ -144,13 +171,11 @@ impl firmware::Board for Board {
     }
 
     fn wait(&mut self) {
-        let now = self.now();
-        if let Some(link) = &mut self.link {
-            // Sends what was written.
-            link.poll(now);
-            if link.is_empty() && SENSOR.is_empty() && WHEELS.is_empty() {
-                CurrentThreadHandle::get().delay(time::Duration::from_millis(1));
-            }
+        // Sends what was written.
+        self.poll();
+        let has_frame = self.link.as_mut().is_some_and(|link| !link.is_empty());
+        if !has_frame && SENSOR.is_empty() && WHEELS.is_empty() {
+            CurrentThreadHandle::get().delay(time::Duration::from_millis(1));
         }
     }
 }
