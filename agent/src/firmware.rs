@@ -55,24 +55,24 @@ pub fn run<B: Board, S: DepthSensor, W: Wheels, D: Drive>(
     served: &[Port],
     mut read_others: impl FnMut(&mut B, &mut Machine<'_, S, W, D>, Instant),
 ) -> ! {
-    let mut bytes = [0; DEFAULT_FRAME];
     loop {
-        turn(board, machine, served, &mut read_others, &mut bytes);
+        turn(board, machine, served, &mut read_others);
     }
 }
 
-/// One turn of the main loop.
+/// One turn of [`run`], for a board that starts something slowly: the first bytes to a base stop what still
+/// turns from before a reset.
 #[inline]
-fn turn<B: Board, S: DepthSensor, W: Wheels, D: Drive>(
+pub fn turn<B: Board, S: DepthSensor, W: Wheels, D: Drive>(
     board: &mut B,
     machine: &mut Machine<'_, S, W, D>,
     served: &[Port],
     mut read_others: impl FnMut(&mut B, &mut Machine<'_, S, W, D>, Instant),
-    bytes: &mut [u8; DEFAULT_FRAME],
 ) {
+    let mut bytes = [0; DEFAULT_FRAME];
     let mut is_quiet = true;
     for &port in served {
-        let count = board.read(port, bytes);
+        let count = board.read(port, &mut bytes);
         if let Some(received @ [_, ..]) = bytes.get(..count) {
             is_quiet = false;
             let now = board.now();
@@ -89,7 +89,7 @@ fn turn<B: Board, S: DepthSensor, W: Wheels, D: Drive>(
         // The port's interrupt makes room meanwhile.
         while board.room(port) >= largest {
             let now = board.now();
-            let count = machine.poll_transmit(port, now, bytes).unwrap_or_default();
+            let count = machine.poll_transmit(port, now, &mut bytes).unwrap_or_default();
             let transmitted = bytes.get(..count).unwrap_or_default();
             board.note(now, Entry::Transmitted(port, transmitted));
             if transmitted.is_empty() {
@@ -167,6 +167,8 @@ mod tests {
         sent: [Vec<usize>; 3],
         /// What the main loop was told.
         heard: Vec<(Port, usize)>,
+        /// The last command to a device.
+        last: Vec<u8>,
         lit: Vec<bool>,
         fed: usize,
         waits: usize,
@@ -194,6 +196,9 @@ mod tests {
             assert!(bytes.len() <= self.room(port), "{port:?}: {} bytes", bytes.len());
             assert!(port == Port::Server || bytes.len() <= MAX_COMMAND);
             self.sent[port as usize].push(bytes.len());
+            if port != Port::Server {
+                self.last = bytes.to_vec();
+            }
         }
 
         fn note(&mut self, _: Instant, entry: Entry<'_>) {
@@ -222,9 +227,9 @@ mod tests {
         let mut readings = [0; 360];
         let sensor = Ld06::new(&mut readings);
         let mut machine = Machine::new(config, &mut memory, sensor, Create2::new()).unwrap();
-        let (mut bytes, mut others) = ([0; DEFAULT_FRAME], 0);
+        let mut others = 0;
         for _ in 0..count {
-            turn(board, &mut machine, served, |_, _, _| others += 1, &mut bytes);
+            turn(board, &mut machine, served, |_, _, _| others += 1);
             board.now = board.now + Duration::from_millis(1);
         }
         others
@@ -249,6 +254,15 @@ mod tests {
             let sends = board.sent.map(|sent| !sent.is_empty());
             assert_eq!(sends, [true, false, is_served[2]]);
         }
+    }
+
+    #[test]
+    fn the_first_turn_stops_the_wheels() {
+        let mut board = Model::default();
+        turns(&mut board, &Port::ALL, 1);
+        // The Create 2's opcode 128 ends the mode in which it drives.
+        assert_eq!(board.sent[Port::Wheels as usize], [1]);
+        assert_eq!(board.last, [128]);
     }
 
     #[test]

@@ -22,7 +22,7 @@ extern crate alloc;
 use alloc::boxed::Box;
 use core::panic::PanicInfo;
 
-use esp_hal::{ram, system};
+use esp_hal::{ram, system, time::Duration};
 use esp_println::println;
 use smoltcp::wire::IpEndpoint;
 use static_cell::ConstStaticCell;
@@ -45,6 +45,11 @@ esp_bootloader_esp_idf::esp_app_desc!();
 
 /// Sizes of the two parts of the radio's heap in bytes: what the boot loader leaves, and more.
 const HEAPS: [usize; 2] = [64 << 10, 48 << 10];
+
+/// The watchdog's time.
+const WATCHDOG: Duration = Duration::from_secs(2);
+/// The watchdog's time while the radio starts, which was never measured.
+const RADIO_START: Duration = Duration::from_secs(10);
 
 // Statics, not local variables, so that the image's size includes them.
 static MEMORY: ConstStaticCell<memory!(BOUNDS, Driving)> = ConstStaticCell::new(Memory::EMPTY);
@@ -88,11 +93,14 @@ fn run(board: &mut Board, chip: Chip) -> Fault {
     let Ok(machine) = machine else { return Fault::Robot };
 
     esp_rtos::start(chip.scheduler_timer, chip.scheduler_interrupt);
+    board.watch(RADIO_START);
+    // The wheels may still turn from before a reset, and the radio takes a while.
+    firmware::turn(board, machine, served, |_, _, _| {});
     let Ok(controller) = radio::start(chip.radio, &wireless) else { return Fault::Network };
     board.connection = Some(Box::pin(radio::stay_connected(controller)));
     let (server, now) = (IpEndpoint::from(wireless.server), board.now());
     board.link = Some(Link::new(Radio::new(), BUFFERS.take(), server, chip.nonce, now));
-    board.start_watchdog();
+    board.watch(WATCHDOG);
     if chip.was_reset_by_watchdog {
         machine.report_watchdog(board.now());
     }

@@ -40,9 +40,6 @@ use crate::{
     serial::{SENSOR, Serial, WHEELS, serve_sensor, serve_wheels},
 };
 
-/// The watchdog resets the robot if the main loop has not run for this time.
-const WATCHDOG: time::Duration = time::Duration::from_secs(2);
-
 /// Number of received bytes at which a port's interrupt comes: a quarter of what the hardware holds.
 const RX_THRESHOLD: u16 = 32;
 
@@ -99,10 +96,12 @@ impl Board {
 }
 
 impl Board {
-    /// Starts the watchdog: not earlier, since the radio's start takes an unknown time.
-    pub(crate) fn start_watchdog(&mut self) {
-        self.watchdog.set_timeout(MwdtStage::Stage0, WATCHDOG);
+    /// Starts the watchdog, which resets the robot if the main loop has not run for this time, or changes its
+    /// time.
+    pub(crate) fn watch(&mut self, time: time::Duration) {
+        self.watchdog.set_timeout(MwdtStage::Stage0, time);
         self.watchdog.enable();
+        self.watchdog.feed();
     }
 
     /// Lets the radio and the link do what is due.
