@@ -251,7 +251,7 @@ mod tests {
             );
             assert_eq!(ports[..served.len()], *served);
             // Three turns read them, and do not wait.
-            assert_eq!(board.waits, 4_997);
+            assert!(board.waits <= 4_997, "{}", board.waits);
             // It says Hello; the lidar needs no commands, the Create 2 does.
             let sends = board.sent.map(|sent| !sent.is_empty());
             assert_eq!(sends, [true, false, is_served[2]]);
