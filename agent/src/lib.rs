@@ -14,7 +14,8 @@
 //! 8. [`device`]: drivers of depth sensors and wheels, from and to the bytes of their ports;
 //! 9. `machine`: a [`Machine`] is a robot with its devices, behind three ports;
 //! 10. [`journal`]: a machine's inputs and outputs, from which its run can be repeated;
-//! 11. [`flash`]: the robot's number, key, parameters and boot counter in flash.
+//! 11. [`flash`]: the robot's number, key, parameters and boot counter in flash;
+//! 12. [`firmware`]: the main loop of an image, over what a board does for it.
 //!
 //! A scan is one borrowed row of readings: [`Robot::scan`] takes a lidar's readings, or a row of a
 //! depth frame, directly from memory. A [`sense::Slicer`] makes the row from a frame that arrives
@@ -31,6 +32,7 @@ extern crate std;
 
 pub mod device;
 pub mod drive;
+pub mod firmware;
 #[cfg(feature = "seals")]
 pub mod flash;
 pub mod journal;

@@ -32,6 +32,11 @@ pub enum Port {
     Wheels,
 }
 
+impl Port {
+    /// All ports of a machine.
+    pub const ALL: [Self; 3] = [Self::Server, Self::Sensor, Self::Wheels];
+}
+
 /// A robot with the drivers of its sensor and its wheels. All input and output are bytes at three
 /// ports, so the same code runs in a firmware, in the simulator and in tests.
 ///

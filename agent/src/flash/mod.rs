@@ -9,6 +9,7 @@
 mod paged;
 mod record;
 mod slots;
+mod wireless;
 
 #[cfg(test)]
 mod model;
@@ -18,8 +19,11 @@ mod tests;
 pub use paged::{PAGE, Paged, PagedFlash};
 pub use record::{MAGIC, Record, SEED_LEN, Seed, UNPROVISIONED};
 pub use slots::{HEAD, NorFlash, Slot};
+pub use wireless::{MAX_NAME, MAX_PASSWORD, WIRELESS_LEN, WITHOUT_NETWORK, Wireless};
 
-use crate::Seal;
+use ubimap_protocol::units::RobotId;
+
+use crate::{Config, Port, Seal};
 use slots::Slots;
 
 /// The identity and the parameters that image and flash give a robot.
@@ -31,6 +35,31 @@ pub enum Identity {
     Unknown,
     /// The robot has a key, but the number of this boot can't be kept: a link must not be sealed.
     NotKept,
+}
+
+impl Identity {
+    /// The ports that the robot serves: only the server's if it does not know its number, so that it has
+    /// no devices. `None` if its link must not be sealed, so that it must be silent.
+    pub fn served(&self) -> Option<&'static [Port]> {
+        const SERVER: [Port; 1] = [Port::Server];
+        match self {
+            Self::Known(..) => Some(&Port::ALL),
+            Self::Unknown => Some(&SERVER),
+            Self::NotKept => None,
+        }
+    }
+
+    /// Completes a configuration. A robot that does not know its number is robot 0.
+    pub fn complete(&self, mut config: Config) -> Config {
+        match self {
+            Self::Known(record, seal) => {
+                (config.robot, config.seal) = (record.robot, *seal);
+                config.set(&record.parameters);
+            }
+            Self::Unknown | Self::NotKept => config.robot = RobotId(0),
+        }
+        config
+    }
 }
 
 /// The robot's identity, from the image's seed and the slots. Counts the boot. Call it once per boot.

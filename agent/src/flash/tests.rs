@@ -225,3 +225,55 @@ fn an_image_without_a_seed_says_so() {
     many[SEED_LEN - 4..].copy_from_slice(&crc.to_le_bytes());
     assert_eq!(Seed::parse(&many), None);
 }
+
+#[test]
+fn a_network_comes_back_from_the_bytes_of_an_image() {
+    let text =
+        |len: usize| "äbcdefghijk".chars().cycle().take(len).collect::<std::string::String>();
+    for (name, password) in [("lab".into(), "".into()), (text(29), text(58)), (text(1), text(8))] {
+        let (name, password): (std::string::String, std::string::String) = (name, password);
+        let network = Wireless {
+            name: name.as_str().try_into().unwrap(),
+            password: password.as_str().try_into().unwrap(),
+            server: "192.168.1.10:4000".parse().unwrap(),
+        };
+        let bytes = network.to_bytes();
+        assert_eq!(Wireless::parse(&bytes), Some(network));
+        assert_eq!(bytes[16..22], [192, 168, 1, 10, 0xA0, 0x0F]);
+        for at in 0..bytes.len() {
+            let mut damaged = bytes;
+            damaged[at] ^= 4;
+            assert_eq!(Wireless::parse(&damaged), None, "{at}");
+        }
+    }
+    assert_eq!(Wireless::parse(&WITHOUT_NETWORK), None);
+    // A length beyond its field, and half a letter, under good CRCs.
+    for (at, value) in [(22, 33), (23, 65), (24, 0xC3)] {
+        let mut bytes = [0; WIRELESS_LEN];
+        bytes[..16].copy_from_slice(&WITHOUT_NETWORK[..16]);
+        bytes[22] = 1;
+        bytes[at] = value;
+        let crc = ubimap_protocol::checksum::crc32(&[&bytes[..120]]);
+        bytes[120..].copy_from_slice(&crc.to_le_bytes());
+        assert_eq!(Wireless::parse(&bytes), None, "{at}");
+    }
+}
+
+#[test]
+fn a_robot_serves_the_ports_that_it_may() {
+    let config = || {
+        Config::new(
+            RobotId(9),
+            crate::sense::SensorModel::Pinhole { focal: 1.0, centre: 0.0 },
+            crate::Bounds::REFERENCE,
+        )
+    };
+    let of =
+        |identity: Identity| (identity.served().map(<[_]>::len), identity.complete(config()).robot);
+    assert_eq!(of(Identity::Known(record(3, 1), None)), (Some(3), RobotId(3)));
+    assert_eq!(Identity::Unknown.served(), Some(&[Port::Server][..]));
+    assert_eq!(of(Identity::Unknown), (Some(1), RobotId(0)));
+    assert_eq!(of(Identity::NotKept), (None, RobotId(0)));
+    let seal = Seal { key: Key::new([1; 16]), boot: 5 };
+    assert!(Identity::Known(record(2, 1), Some(seal)).complete(config()).seal.is_some());
+}

@@ -1,11 +1,9 @@
-//! The place of the seed in an ELF, BIN or UF2 image.
+//! The places of a robot's seed and of its network in an ELF, BIN or UF2 image.
 //!
 //! The magic is searched in what is loaded: an ELF's segments, a UF2's blocks in the order of their
 //! addresses, all of a BIN.
 
 use std::ops::Range;
-
-use ubimap_agent::flash::{MAGIC, SEED_LEN};
 
 /// Why an image has no place for a seed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -13,9 +11,17 @@ pub enum ImageFault {
     /// There is no magic.
     #[error("has no place for a robot's number; build it with `cargo firmware --features flash`")]
     NoPlace,
+    /// There is no magic of a network.
+    #[error("has no place for a Wi-Fi network; `cargo esp32c3` builds an image with one")]
+    NoNetwork,
     /// The magic is there more than once, or the image ends within its seed.
-    #[error("has several places for a robot's number, or an incomplete one; build it anew")]
+    #[error("has several places for what was given, or an incomplete one; build it anew")]
     WrongPlace,
+    /// An image file of Espressif's, whose checksum would no longer fit.
+    #[error(
+        "has a checksum, so a robot's number can't be written into it; give the ELF that it is made of"
+    )]
+    Summed,
     /// An ELF for a chip that takes no UF2 files, or another kind of file.
     #[error("can't become a UF2 file: it is not an ELF image for an RP2040 or RP2350")]
     NoUf2,
@@ -24,13 +30,20 @@ pub enum ImageFault {
     Damaged(&'static str),
 }
 
-/// Writes a seed into an image, which is unchanged if that fails.
-pub(super) fn patch(image: &mut [u8], seed: &[u8; SEED_LEN]) -> Result<(), ImageFault> {
+/// Length of the magic at the beginning of a place.
+const MAGIC_LEN: usize = 16;
+
+/// Writes bytes, such as a seed, over those in the image that begin with the same magic. The image is
+/// unchanged if that fails.
+pub(super) fn patch(image: &mut [u8], bytes: &[u8]) -> Result<(), ImageFault> {
+    let magic = bytes.get(..MAGIC_LEN).ok_or(ImageFault::NoPlace)?;
     let pieces = if image.starts_with(ELF_MAGIC) {
         let segments = segments(image).ok_or(ImageFault::Damaged("segments"))?;
         segments.into_iter().map(|(_, range)| vec![range]).collect()
     } else if word(image, 0) == Some(UF2_MAGIC[0]) {
         blocks(image).ok_or(ImageFault::Damaged("blocks"))?
+    } else if image.first() == Some(&ESPRESSIF_MAGIC) {
+        return Err(ImageFault::Summed);
     } else {
         vec![vec![0..image.len()]]
     };
@@ -39,9 +52,9 @@ pub(super) fn patch(image: &mut [u8], seed: &[u8; SEED_LEN]) -> Result<(), Image
         // Where each loaded byte is in the file.
         let at: Vec<usize> = ranges.into_iter().flatten().collect();
         let loaded: Vec<u8> = at.iter().map(|&at| image[at]).collect();
-        for (first, window) in loaded.windows(MAGIC.len()).enumerate() {
-            if window == MAGIC {
-                let place = at.get(first..first + SEED_LEN).ok_or(ImageFault::WrongPlace)?;
+        for (first, window) in loaded.windows(MAGIC_LEN).enumerate() {
+            if window == magic {
+                let place = at.get(first..first + bytes.len()).ok_or(ImageFault::WrongPlace)?;
                 places.push(place.to_vec());
             }
         }
@@ -49,12 +62,15 @@ pub(super) fn patch(image: &mut [u8], seed: &[u8; SEED_LEN]) -> Result<(), Image
     match &places[..] {
         [] => Err(ImageFault::NoPlace),
         [place] => {
-            place.iter().zip(seed).for_each(|(&at, &byte)| image[at] = byte);
+            place.iter().zip(bytes).for_each(|(&at, &byte)| image[at] = byte);
             Ok(())
         }
         _ => Err(ImageFault::WrongPlace),
     }
 }
+
+/// The first byte of Espressif's image files. The others begin with the address of a stack, which is even.
+const ESPRESSIF_MAGIC: u8 = 0xE9;
 
 /// The first bytes of an ELF.
 pub(super) const ELF_MAGIC: &[u8] = b"\x7FELF";
@@ -134,9 +150,13 @@ fn half(bytes: &[u8], at: usize) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::{super::uf2, *};
-    use ubimap_agent::flash::UNPROVISIONED;
+    use ubimap_agent::flash::{MAGIC, SEED_LEN, UNPROVISIONED};
 
-    const SEED: [u8; SEED_LEN] = [0x5A; SEED_LEN];
+    const SEED: [u8; SEED_LEN] = {
+        let mut seed = [0x5A; SEED_LEN];
+        seed.split_at_mut(MAGIC.len()).0.copy_from_slice(&MAGIC);
+        seed
+    };
 
     fn flash() -> Vec<u8> {
         [&[1; 200][..], &UNPROVISIONED, &[2; 300]].concat()
@@ -187,6 +207,14 @@ mod tests {
                 assert!(patched == image);
             }
         }
+    }
+
+    #[test]
+    fn images_with_a_checksum_are_refused() {
+        let mut image = [&[ESPRESSIF_MAGIC, 5, 2, 0x20][..], &flash()].concat();
+        let given = image.clone();
+        assert_eq!(patch(&mut image, &SEED), Err(ImageFault::Summed));
+        assert!(image == given);
     }
 
     #[test]

@@ -1,9 +1,10 @@
-//! `ubimap provision`: a robot's number, key and parameters in a firmware image.
+//! `ubimap provision`: a robot's number, key, parameters and Wi-Fi network in a firmware image.
 
 mod image;
 mod uf2;
 
 use std::{
+    net::SocketAddrV4,
     path::{Path, PathBuf},
     time::{SystemTime, UNIX_EPOCH},
 };
@@ -11,7 +12,7 @@ use std::{
 use clap::Args;
 use ubimap_agent::{
     Parameter,
-    flash::{Record, Seed},
+    flash::{MAX_NAME, Record, Seed, Wireless},
 };
 use ubimap_protocol::{
     message::{MAX_PARAMETERS, ParameterValue},
@@ -48,6 +49,18 @@ pub struct ProvisionOptions {
     #[arg(long, value_name = "NAME=VALUE", requires = "id")]
     pub set: Vec<String>,
 
+    /// The Wi-Fi network that the robot joins, for an image with a radio (`cargo esp32c3`)
+    #[arg(long, value_name = "NAME", requires_all = ["server", "id"])]
+    pub wifi: Option<String>,
+
+    /// The network's password (WPA2), in the first line of a file; without, the network is open
+    #[arg(long, value_name = "FILE", requires = "wifi")]
+    pub wifi_password: Option<PathBuf>,
+
+    /// The server's address and UDP port in that network, such as 192.168.1.10:4000
+    #[arg(long, value_name = "IP:PORT", requires = "wifi")]
+    pub server: Option<SocketAddrV4>,
+
     /// Where to write the image [default: in its place]; a name that ends in .uf2 makes a UF2 file of an ELF image
     /// for the RP2040 or RP2350
     #[arg(long, value_name = "FILE", required_unless_present = "id")]
@@ -81,6 +94,14 @@ pub enum ProvisionError {
         /// The reason.
         reason: String,
     },
+    /// The network can't be used.
+    #[error("--wifi {name}: {reason}")]
+    Wifi {
+        /// The network's name.
+        name: String,
+        /// The reason.
+        reason: String,
+    },
     /// The key can't be read.
     #[error(transparent)]
     Key(#[from] KeysError),
@@ -103,7 +124,18 @@ pub fn run(options: &ProvisionOptions) -> Result<String, ProvisionError> {
             let record = record(id, options)?;
             image::patch(&mut image, &Seed::to_bytes(&record)).map_err(refuse)?;
             let link = if record.key.is_some() { "a sealed link" } else { "an open link" };
-            format!("robot {id}, {link}, parameters set: {}", record.parameters.len())
+            let network = match wireless(options)? {
+                Some(wireless) => {
+                    let patched = image::patch(&mut image, &wireless.to_bytes());
+                    patched.map_err(|fault| match fault {
+                        ImageFault::NoPlace => refuse(ImageFault::NoNetwork),
+                        other => refuse(other),
+                    })?;
+                    format!(", Wi-Fi {} to {}", wireless.name, wireless.server)
+                }
+                None => String::new(),
+            };
+            format!("robot {id}, {link}{network}, parameters set: {}", record.parameters.len())
         }
         None => format!("the image as {} has it", path.display()),
     };
@@ -124,6 +156,33 @@ fn record(id: u16, options: &ProvisionOptions) -> Result<Record, ProvisionError>
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let boots = u32::try_from(since.as_secs()).unwrap_or(u32::MAX / 2);
     Ok(Record { robot: RobotId(id), key, boots, parameters })
+}
+
+/// The network that the robot joins, if one is given.
+fn wireless(options: &ProvisionOptions) -> Result<Option<Wireless>, ProvisionError> {
+    let (Some(wifi), Some(server)) = (&options.wifi, options.server) else { return Ok(None) };
+    let refuse = |reason: String| ProvisionError::Wifi { name: wifi.clone(), reason };
+    let password = match &options.wifi_password {
+        Some(path) => {
+            let text = files::read_settings(path).map_err(|error| refuse(error.to_string()))?;
+            let line = text.lines().next().unwrap_or_default().to_owned();
+            // As IEEE 802.11 has it; 64 would be the digits of the key that is made from a password.
+            if !(8..=63).contains(&line.len()) {
+                let reason = format!("the password in {} has not 8 to 63 bytes", path.display());
+                return Err(refuse(reason));
+            }
+            line
+        }
+        None => String::new(),
+    };
+    let name = heapless::String::try_from(wifi.as_str()).ok().filter(|name| !name.is_empty());
+    let name = name.ok_or_else(|| refuse(format!("a name has 1 to {MAX_NAME} bytes")))?;
+    let password = heapless::String::try_from(password.as_str())
+        .map_err(|_| refuse("the password is too long".into()))?;
+    if server.port() == 0 || server.ip().is_unspecified() {
+        return Err(refuse(format!("{server} is not an address that a robot can reach")));
+    }
+    Ok(Some(Wireless { name, password, server }))
 }
 
 /// The parameters of `NAME=VALUE`s. Of two values of one parameter the last one counts.
@@ -158,11 +217,13 @@ mod tests {
     use super::*;
     use crate::testing::Folder;
     use std::fs;
-    use ubimap_agent::flash::{SEED_LEN, UNPROVISIONED};
+    use ubimap_agent::flash::{SEED_LEN, UNPROVISIONED, WIRELESS_LEN, WITHOUT_NETWORK};
 
     fn options(image: PathBuf, set: &[&str]) -> ProvisionOptions {
         let set = set.iter().map(ToString::to_string).collect();
-        ProvisionOptions { image, id: Some(7), key: None, set, out: None }
+        let (wifi, wifi_password, server) = (None, None, None);
+        let id = Some(7);
+        ProvisionOptions { image, id, key: None, set, wifi, wifi_password, server, out: None }
     }
 
     #[test]
@@ -202,5 +263,44 @@ mod tests {
         fs::write(&key, "0001\n").unwrap();
         assert!(run(&options).unwrap_err().to_string().contains("32 hexadecimal digits"));
         assert_eq!(fs::read(&out).unwrap(), written);
+    }
+
+    #[test]
+    fn an_image_with_a_radio_is_given_a_network() {
+        let folder = Folder::new("provision-wifi");
+        let image = [&UNPROVISIONED[..], &[1; 100], &WITHOUT_NETWORK, &[2; 50]].concat();
+        let path = folder.file("image.bin", &image);
+        let options = |wifi: &str, password: &str, server: &str| ProvisionOptions {
+            wifi: Some(wifi.into()),
+            wifi_password: Some(folder.file("password", password.as_bytes())),
+            server: Some(server.parse().unwrap()),
+            ..options(path.clone(), &[])
+        };
+        for (wifi, password, server, said) in [
+            ("", "12345678", "10.0.0.1:4000", "1 to 32 bytes"),
+            ("a name of more than thirty-two bytes", "12345678", "10.0.0.1:4000", "1 to 32 bytes"),
+            ("lab", "short\n", "10.0.0.1:4000", "8 to 63 bytes"),
+            ("lab", &"long".repeat(16), "10.0.0.1:4000", "8 to 63 bytes"),
+            ("lab", "12345678", "0.0.0.0:4000", "can reach"),
+            ("lab", "12345678", "10.0.0.1:0", "can reach"),
+        ] {
+            let error = run(&options(wifi, password, server)).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+            assert_eq!(fs::read(&path).unwrap(), image);
+        }
+        let lab = options("lab", "correct horse\n", "192.168.1.10:4000");
+        let said = run(&lab).unwrap();
+        assert!(said.contains("Wi-Fi lab to 192.168.1.10:4000"), "{said}");
+        let written = fs::read(&path).unwrap();
+        let at = SEED_LEN + 100;
+        let wireless = Wireless::parse(written[at..].first_chunk().unwrap()).unwrap();
+        assert_eq!((&wireless.name[..], &wireless.password[..]), ("lab", "correct horse"));
+        assert_eq!(wireless.server.to_string(), "192.168.1.10:4000");
+        assert_eq!(written[at + WIRELESS_LEN..], [2; 50]);
+        // Other images have no place for it.
+        fs::write(&path, UNPROVISIONED).unwrap();
+        let error = run(&lab).unwrap_err().to_string();
+        assert!(error.contains("cargo esp32c3"), "{error}");
+        assert_eq!(fs::read(&path).unwrap(), UNPROVISIONED);
     }
 }
