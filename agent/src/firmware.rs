@@ -238,8 +238,8 @@ mod tests {
     #[test]
     fn only_served_ports_are_read_and_written() {
         for served in [&Port::ALL[..], &[Port::Server]] {
-            let mut board = Model::default();
-            board.arrived = [0, 1, 2].map(|_| [0x55; 600].into());
+            let arrived = [0, 1, 2].map(|_| [0x55; 600].into());
+            let mut board = Model { arrived, ..Model::default() };
             assert_eq!(turns(&mut board, served, 5_000), 5_000);
             let is_served = Port::ALL.map(|port| served.contains(&port));
             assert_eq!(board.arrived.each_ref().map(VecDeque::is_empty), is_served);
