@@ -39,16 +39,16 @@ fn robots_map_floor_plans() {
     let robots = env::var("UBIMAP_ROBOTS").unwrap_or_else(|_| "8".to_owned());
     let (_, scenario) = SCENARIOS.into_iter().find(|(it, _)| *it == robots).expect("4 or 8 robots");
     let chosen = env::var("UBIMAP_PLANS").ok();
-    let is_chosen =
-        |plan: &&str| chosen.as_ref().is_none_or(|it| it.split(',').any(|it| it == *plan));
+    let is_chosen = |plan: &str| {
+        chosen.as_ref().is_none_or(|chosen| chosen.split(',').any(|chosen| chosen == plan))
+    };
+    let plans = PLANS.into_iter().filter(|plan| is_chosen(plan));
     println!(
         "| plan, seed | F1 | poses RMS | blind ground mapped | all of it after | collisions |\n\
          |---|---|---|---|---|---|"
     );
     let mut collisions = 0;
-    for (plan, seed) in
-        PLANS.iter().filter(is_chosen).flat_map(|plan| seeds(1).map(move |seed| (plan, seed)))
-    {
+    for (plan, seed) in plans.flat_map(|plan| seeds(1).map(move |seed| (plan, seed))) {
         let Some(map) = data::file(&format!("maps/ipa/{plan}.yaml")) else { return };
         let (map, seed) = (map.display().to_string(), seed.to_string());
         let line = ["simulate", scenario, "--map", &map, "--ideal-cameras", "--seed", &seed];
