@@ -236,9 +236,9 @@ fn it_turns_on_the_spot_while_it_does_not_know_where_it_is() {
     assert!((it.at.0, it.at.1) == (at.0, at.1) && it.at.2 != at.2);
     assert!(it.command.turn > 200, "{:?}", it.command);
     // It gives up for a while.
-    it.run(20.0);
+    it.run(60.0);
     assert_eq!((it.command, it.driver.reason()), (DriveCommand::STAND, Reason::PoseLost));
-    it.run(37.0);
+    it.run(117.0);
     assert_eq!(it.command, DriveCommand::STAND);
     it.run(2.0);
     assert!(it.command.turn > 200, "{:?}", it.command);
