@@ -219,8 +219,12 @@ impl<'b> Driver<'b> {
                 self.go_on(&sight, &ground)
             }
             // What is to be seen around it may show the server where it is.
-            (Some(Reason::PoseLost), Some(_)) if self.task != Task::Stand && self.turns(now) => {
-                (self.follower.spin(true, elapsed), Reason::PoseLost)
+            (Some(Reason::PoseLost), Some(_)) if self.task != Task::Stand => {
+                let command = match self.turns(now) {
+                    true => self.follower.spin(true, elapsed),
+                    false => self.follower.stand(),
+                };
+                (command, Reason::PoseLost)
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
         };

@@ -46,14 +46,10 @@ pub enum WireError {
 impl WireError {
     /// The error for a socket that can't be bound.
     pub(crate) fn unbound(name: String, error: &io::Error) -> Self {
-        let reason = match error.kind() {
-            io::ErrorKind::AddrInUse => {
-                "in use by another program, such as an ubimap serve that runs already; stop \
-                                         that one, or give another port"
-                    .to_owned()
-            }
-            _ => error.to_string(),
-        };
+        const IN_USE: &str = "in use by another program, such as an ubimap serve that runs already; stop that one, or \
+                              give another port";
+        let is_in_use = error.kind() == io::ErrorKind::AddrInUse;
+        let reason = if is_in_use { IN_USE.to_owned() } else { error.to_string() };
         Self::Open { name, reason }
     }
 }

@@ -70,12 +70,7 @@ mod tests {
     use ubimap_protocol::message::EventCode;
 
     use super::*;
-
-    fn event(code: EventCode, detail: &str) -> message::Event {
-        let severity = code.usual_severity();
-        let detail = detail.parse().unwrap();
-        message::Event { time: None, severity, code: code as u16, detail }
-    }
+    use crate::server::events::tests::event;
 
     #[test]
     fn finished_paths_do_not_push_a_warning_out() {

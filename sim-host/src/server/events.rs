@@ -438,7 +438,7 @@ fn reason(event: &message::Event) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     fn level(code: EventCode) -> log::Level {
@@ -490,7 +490,7 @@ mod tests {
         assert!(joined(0).to_string().contains("ubimap provision"), "{}", joined(0));
     }
 
-    fn event(code: EventCode, detail: &str) -> message::Event {
+    pub(in crate::server) fn event(code: EventCode, detail: &str) -> message::Event {
         let severity = code.usual_severity();
         let detail = detail.parse().unwrap();
         message::Event { time: None, severity, code: code as u16, detail }

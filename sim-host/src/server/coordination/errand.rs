@@ -15,7 +15,7 @@ pub enum Errand {
     Waits,
     /// It may explore, finds nothing to look at, and returns into the cameras' view, to that place.
     Returns([f64; 2]),
-    /// It has driven so far out of view that its pose may have drifted, and comes back into view there.
+    /// It has driven far out of the cameras' view, where its pose drifts, and returns into view at that place.
     Recalled([f64; 2]),
     /// It drives to a goal in `map`, in metres.
     Goal([f64; 2]),

@@ -42,6 +42,16 @@ fn what_is_left_is_told_with_the_reason() {
         !left.is_empty() && left.iter().any(|it| it.why == WhyUnexplored::IsTarget),
         "{left:?}"
     );
+    // The border has a piece for each metre.
+    let apart = |one: &Unexplored, other: &Unexplored| {
+        let [x, y] = [0, 1].map(|axis| one.place_m[axis] - other.place_m[axis]);
+        one.why != other.why || x.hypot(y) > floor.coordinator.settings.view_m
+    };
+    assert!(floor.coordinator.frontiers.len() > left.len());
+    for (at, one) in left.iter().enumerate() {
+        assert!(left[at + 1..].iter().all(|other| apart(one, other)), "{left:?}");
+        assert!(left[at + 1..].iter().all(|other| one.area_m2 >= other.area_m2), "{left:?}");
+    }
     floor.run(120, |floor| {
         floor.look_around();
         false
