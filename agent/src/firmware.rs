@@ -2,6 +2,7 @@
 
 use ubimap_protocol::{
     frame::DEFAULT_FRAME,
+    message::ParameterValue,
     time::{Duration, Instant},
 };
 
@@ -34,6 +35,12 @@ pub trait Board {
 
     /// Sets the status LED.
     fn show(&mut self, lit: bool);
+
+    /// Stores parameters, which may take seconds, for which the watchdog must wait. Returns whether they are
+    /// stored. A board whose configuration [keeps no parameters](crate::Config::keeps_parameters) is not asked.
+    fn store(&mut self, _parameters: &[ParameterValue]) -> bool {
+        false
+    }
 
     /// Sleeps until something arrives at a port, at most a millisecond.
     fn wait(&mut self);
@@ -84,6 +91,9 @@ pub fn turn<B: Board, S: DepthSensor, W: Wheels, D: Drive>(
     board.note(now, Entry::Timeout);
     read_others(board, machine, now);
     machine.timeout(now);
+    if let Some(parameters) = machine.poll_store(now) {
+        machine.stored(board.store(&parameters));
+    }
     for &port in served {
         let largest = if port == Port::Server { DEFAULT_FRAME } else { MAX_COMMAND };
         // The port's interrupt makes room meanwhile.

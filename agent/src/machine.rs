@@ -1,7 +1,8 @@
 //! A robot with its depth sensor and its wheels, behind three ports.
 
+use heapless::Vec;
 use ubimap_protocol::{
-    message::EventCode,
+    message::{EventCode, MAX_PARAMETERS, ParameterValue},
     time::{Duration, Instant},
 };
 
@@ -20,6 +21,9 @@ const AFTER_BUMP: Duration = Duration::from_secs(2);
 /// Time for which a robot stands after another stop by the base, which is repeated while its cause
 /// lasts.
 const AFTER_STOP: Duration = Duration::from_millis(500);
+
+/// Time after which wheels that are told to stand do so: they are slowed down by 0.8 m/s^2.
+const STANDSTILL: Duration = Duration::from_secs(1);
 
 /// A port of a [`Machine`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,6 +91,8 @@ pub struct Machine<'b, S, W, D: Drive = NoDrive> {
     wheels: W,
     /// Whether a bumper touches something.
     is_touching: bool,
+    /// When the wheels were last told to turn.
+    turned: Option<Instant>,
 }
 
 impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
@@ -109,7 +115,13 @@ impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
     // Not inlined, so that the result is written in place.
     #[inline(never)]
     fn assembled(config: Config<D>, slices: Slices<'b, D>, sensor: S, wheels: W) -> Self {
-        Self { robot: Robot::assembled(config, slices), sensor, wheels, is_touching: false }
+        Self {
+            robot: Robot::assembled(config, slices),
+            sensor,
+            wheels,
+            is_touching: false,
+            turned: None,
+        }
     }
 
     /// Processes bytes that had arrived at a port by `now`, in pieces of any size.
@@ -189,6 +201,22 @@ impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
         self.robot.report(EventCode::Watchdog, now);
     }
 
+    /// The parameters that the board is to store now, and then to say whether it has ([`Machine::stored`]): while
+    /// the server waits for that, and the wheels stand. If they turn, the server is told that it is not done.
+    pub fn poll_store(&mut self, now: Instant) -> Option<Vec<ParameterValue, MAX_PARAMETERS>> {
+        let parameters = self.robot.poll_store()?;
+        if self.turned.is_some_and(|turned| now.since(turned) < STANDSTILL) {
+            self.robot.stored(false);
+            return None;
+        }
+        Some(parameters)
+    }
+
+    /// Answers the server that waits for the parameters to be stored, as [`Robot::stored`].
+    pub fn stored(&mut self, is_stored: bool) {
+        self.robot.stored(is_stored);
+    }
+
     /// The robot.
     pub fn robot(&self) -> &Robot<'b, D> {
         &self.robot
@@ -221,7 +249,11 @@ impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
 
     /// Passes the command to the wheels.
     fn drive(&mut self, now: Instant) {
-        self.wheels.drive(self.command(), now);
+        let command = self.command();
+        if command != DriveCommand::STAND {
+            self.turned = Some(now);
+        }
+        self.wheels.drive(command, now);
     }
 }
 
@@ -249,7 +281,14 @@ mod tests {
         sense::SensorModel,
     };
     use std::{boxed::Box, vec, vec::Vec};
-    use ubimap_protocol::units::{Millimetres, RobotId};
+    use ubimap_protocol::{
+        frame::{MAX_FRAME, SessionId},
+        link::{Answer, Endpoint, Fill, Received, Terms, answer},
+        message::{
+            Hello, ParameterAction, ParameterCommand, ParameterOutcome, ParameterReport, ToRobot,
+        },
+        units::{Millimetres, RobotId},
+    };
 
     const BOUNDS: Bounds = Bounds::SMALL;
 
@@ -345,7 +384,8 @@ mod tests {
     /// Calls `test` with a machine that has driven for a second.
     fn driving(test: impl FnOnce(Bench<'_>)) {
         let model = SensorModel::Radial { first: 0.0, step: 0.1 };
-        let config = Config::new(RobotId(1), model, BOUNDS).with_drive(Ahead);
+        let config = Config { keeps_parameters: true, ..Config::new(RobotId(1), model, BOUNDS) };
+        let config = config.with_drive(Ahead);
         let mut memory: Box<memory!(BOUNDS, Ahead)> = Box::new(Memory::EMPTY);
         let machine = Machine::new(config, &mut memory, Blind, Create2::new()).unwrap();
         let mut bench = Bench { machine, millis: 0 };
@@ -405,6 +445,89 @@ mod tests {
             // It is back: after half a second the robot drives on.
             (0..40).for_each(|_| drop(bench.report(Some(0))));
             assert_eq!((bench.machine.command(), bench.machine.robot().stopped()), (AHEAD, None));
+        });
+    }
+
+    /// A server's messages for the machine, and the reports of its answers.
+    struct Server(Endpoint<ToRobot, (), 1, MAX_FRAME>);
+
+    impl Server {
+        /// Begins a session with a machine that says Hello.
+        fn begin(bench: &mut Bench<'_>) -> Self {
+            let (mut server, mut out) = (Endpoint::new(), [0; MAX_FRAME]);
+            let count = bench.machine.poll_transmit(Port::Server, bench.now(), &mut out).unwrap();
+            let Some(Received::Handshake(hello)) = server.receive(&mut &out[..count], bench.now())
+            else {
+                panic!("no Hello")
+            };
+            let hello: Hello = hello.decode().unwrap();
+            let resolution = hello.resolution;
+            let terms = Terms { resolution, frame: 250, server_epoch: 1, stores: false };
+            let Answer::Welcome(welcome) = answer(&hello, &terms, SessionId(5), 1) else {
+                panic!("refused")
+            };
+            let count = server.handshake(&welcome, &mut out).unwrap();
+            bench.machine.receive(Port::Server, &out[..count], bench.now());
+            server.begin(SessionId(5), MAX_FRAME);
+            Self(server)
+        }
+
+        /// Sends a command to set a parameter. Returns what is to be stored.
+        fn set(
+            &mut self,
+            bench: &mut Bench<'_>,
+            (parameter, value): (u16, i32),
+        ) -> Option<Vec<ParameterValue>> {
+            let action = ParameterAction::Set(ParameterValue { parameter, value });
+            let (mut out, now) = ([0; MAX_FRAME], bench.now());
+            let sent = self.0.poll_transmit(now, &mut out, true, |writer, _| {
+                assert!(writer.push(&ParameterCommand { number: 3, action }));
+                Fill::Datagram
+            });
+            bench.machine.receive(Port::Server, &out[..sent.unwrap().len], now);
+            bench.machine.poll_store(now).map(|it| it.to_vec())
+        }
+
+        /// The outcome that the machine reports.
+        fn outcome(&mut self, bench: &mut Bench<'_>) -> Option<ParameterOutcome> {
+            let (mut out, mut outcome, now) = ([0; MAX_FRAME], None, bench.now());
+            while let Some(count) = bench.machine.poll_transmit(Port::Server, now, &mut out) {
+                let received = self.0.receive(&mut &out[..count], now);
+                let Some(Received::Session(messages)) = received else { continue };
+                for message in messages.flatten() {
+                    let report = message.decode::<ParameterReport>().ok();
+                    outcome = report.map(|it| it.outcome).or(outcome);
+                }
+                // It acknowledges, so that the next report can be sent.
+                let sent = self.0.poll_transmit(now, &mut out, true, |_, _| Fill::Nothing);
+                let frame = sent.map(|sent| out[..sent.len].to_vec()).unwrap_or_default();
+                bench.machine.receive(Port::Server, &frame, now);
+            }
+            outcome
+        }
+    }
+
+    #[test]
+    fn parameters_are_stored_while_the_wheels_stand() {
+        driving(|mut bench| {
+            let server = &mut Server::begin(&mut bench);
+            assert_eq!(server.set(&mut bench, (6, 300)), None);
+            assert_eq!(server.outcome(&mut bench), Some(ParameterOutcome::Done));
+            let value = ParameterValue { parameter: 6, value: 300 };
+            // The wheels turn, are told to stand, and then stand.
+            let now = bench.now();
+            for (millis, stored) in [(0, None), (900, None), (150, Some(vec![value]))] {
+                (0..millis / 15).for_each(|_| drop(bench.report(Some(0))));
+                assert_eq!(server.set(&mut bench, (13, 1)), stored, "{millis}");
+                if stored.is_none() {
+                    let refused = Some(ParameterOutcome::OutOfRange);
+                    assert_eq!(server.outcome(&mut bench), refused);
+                }
+                bench.machine.stop(StopReason::Button, None, now);
+            }
+            assert_eq!(server.outcome(&mut bench), None, "it waits for the board");
+            bench.machine.stored(true);
+            assert_eq!(server.outcome(&mut bench), Some(ParameterOutcome::Done));
         });
     }
 

@@ -208,7 +208,7 @@ fn a_robot_is_monitored_and_its_parameters_are_read_and_set() {
     assert!(text.contains(": robot 7, protocol version 1"), "{text}");
 
     let list = printed(&folder, &["param", &port, "list"]);
-    assert_eq!(list.lines().count(), 12, "{list}");
+    assert_eq!(list.lines().count(), 13, "{list}");
     assert!(list.contains("mounting-x") && list.contains("100 mm"), "{list}");
     let set = printed(&folder, &["param", &port, "set", "mounting-heading", "-2.5"]);
     assert!(set.starts_with("mounting-heading = -2.50 degrees"), "{set}");
@@ -218,8 +218,6 @@ fn a_robot_is_monitored_and_its_parameters_are_read_and_set() {
     let all: Value = serde_json::from_str(&json).unwrap();
     // As the robot reports it.
     assert_eq!((&all[2]["name"], &all[2]["raw"]), (&"mounting-heading".into(), &65_081.into()));
-    let store = printed(&folder, &["param", &port, "store"]);
-    assert!(store.contains("--set mounting-heading=65081"), "{store}");
     // Before anything is sent.
     refused(&folder, &["param", "/dev/null", "set", "hold", "1e9"], 2, "0 to 60000 ms");
     refused(&folder, &["param", "/dev/null", "get", "speed"], 2, "there are mounting-x");
@@ -248,6 +246,38 @@ fn a_robot_is_monitored_and_its_parameters_are_read_and_set() {
     assert!(words.contains("gate-distance was 0 mm, as a killed"), "{words}");
     let get = printed(&folder, &["param", &port, "get", "gate-distance"]);
     assert!(get.starts_with("gate-distance = 35 mm"), "{get}");
+}
+
+#[test]
+fn stored_parameters_are_there_at_the_next_start() {
+    let folder = folder("stored");
+    let (_cable, robot, port) = robot(&folder, 7);
+    printed(&folder, &["param", &port, "set", "mounting-heading", "-2.5"]);
+    let is_stored = |expected: &str| {
+        let get = printed(&folder, &["param", &port, "get", "stored"]);
+        assert!(get.starts_with(&format!("stored = {expected} ")), "{get}");
+    };
+    is_stored("0");
+    let store = printed(&folder, &["param", &port, "store"]);
+    assert!(store.starts_with("stored: "), "{store}");
+    is_stored("1");
+    assert_eq!(
+        fs::read_to_string(folder.join("robot.parameters")).unwrap(),
+        "mounting-heading = 65081\n"
+    );
+    printed(&folder, &["param", &port, "set", "hold", "300"]);
+    drop(robot);
+    // Its next start begins with what was stored.
+    let _robot = Beside::start(&folder, &["robot", "robot.toml"]);
+    let list = printed(&folder, &["param", &port, "list"]);
+    assert!(list.contains("-2.50 degrees") && list.contains(" 1000 ms "), "{list}");
+    is_stored("1");
+    // A folder in the file's place: it can't be written.
+    fs::remove_file(folder.join("robot.parameters")).unwrap();
+    fs::create_dir(folder.join("robot.parameters")).unwrap();
+    printed(&folder, &["param", &port, "set", "hold", "300"]);
+    refused(&folder, &["param", &port, "store"], 1, "has not stored its parameters");
+    is_stored("0");
 }
 
 #[test]

@@ -31,14 +31,14 @@ def report(robot):
 
 
 def main():
-    robot = None
+    robot, storage = None, {}
     for line in sys.stdin:
         step = json.loads(line)
         now = step["now"]
         if "restart" in step:
             key = bytes.fromhex(step.get("key", ""))
             frames = SealedFrames(7, key, step["restart"]) if key else None
-            robot = Robot(7, step["restart"], now, frames)
+            robot = Robot(7, step["restart"], now, frames, storage)
         for data in step.get("bytes", []):
             robot.receive(bytes.fromhex(data), now)
         frames = []

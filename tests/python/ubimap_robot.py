@@ -31,8 +31,9 @@ POSTURES = ["unknown", "standing", "sitting", "lying"]
 PARAMETERS = {
     1: (0, -2_000, 2_000), 2: (0, -2_000, 2_000), 3: (0, -32_768, 65_535), 4: (35, 0, 10_000),
     5: (910, 0, 32_767), 6: (1_000, 0, 60_000), 7: (1_500, 0, 60_000), 8: (1, 0, 1 << 30),
+    13: (1, 1, 1),
 }  # fmt: skip
-FIRST_EPOCH = 8
+FIRST_EPOCH, STORED = 8, 13
 #: 11, and the names of the errors that do not count as refused frames.
 COUNTERS = ("bad", "refused", "replayed", "forged", "duplicate", "unknown", "malformed")
 WHY = {
@@ -44,7 +45,7 @@ class Robot:
     """The robot's side of the protocol. After every input, take frames from `poll` until it returns
     None, and come back at `due`. Times are in microseconds of the robot's own clock."""
 
-    def __init__(self, number, boot_nonce, now=0, frames=None):
+    def __init__(self, number, boot_nonce, now=0, frames=None, storage=None):
         self.number, self.room, self.frame = number, Room(), FRAME
         self.frames = frames or OpenFrames()
         self.frames.attempt(now)
@@ -58,7 +59,9 @@ class Robot:
         self.updates, self.drawn = 0, None
         # What waits to be sent.
         self.events, self.reports, self.digested, self.told = [STARTED], [], 0, 0
-        self.parameters = {number: it[0] for number, it in PARAMETERS.items()}
+        # What is stored outlives the boot.
+        self.storage = {} if storage is None else storage
+        self.parameters = {number: it[0] for number, it in PARAMETERS.items()} | self.storage
         # Moments at which something is due.
         self.next = dict.fromkeys(("time", "state", "vector", "digests", "tiles", "step"), now)
         self.forget_server()
@@ -231,12 +234,21 @@ class Robot:
                 outcome = "Unknown"
             elif what == "Set" and not PARAMETERS[number][1] <= told["value"] <= PARAMETERS[number][2]:
                 outcome = "OutOfRange"
+            elif what == "Set" and number == STORED and self.is_driving() and not self.parameters[STORED]:
+                outcome = "OutOfRange"
             elif what == "Set":
                 self.set_parameter(number, told["value"])
         values = [{"parameter": it, "value": self.parameters[it]} for it in named]
         self.reports = [{"number": command["number"], "outcome": outcome, "values": values}]
 
+    def is_driving(self):
+        return bool(self.room.waypoints) and not self.room.is_stopped
+
     def set_parameter(self, number, value):
+        if number == STORED:
+            self.storage.update({it: self.parameters[it] for it in PARAMETERS if it not in (FIRST_EPOCH, STORED)})
+        if number != FIRST_EPOCH:
+            self.parameters[STORED] = int(number == STORED)
         if number == FIRST_EPOCH and value != self.parameters[number]:
             # All own tiles are given up; they are drawn again in an epoch of their own.
             self.first_epoch, self.own, self.drawn = max(value, self.first_epoch + 1), {}, None

@@ -11,7 +11,10 @@ use serde_json::{Value, json};
 use ubimap_protocol::{
     frame::{Key, MAX_FRAME},
     link::Terms,
-    message::{ParameterAction, ParameterCommand, ParameterValue, Path, Stop, Waypoint},
+    message::{
+        ParameterAction, ParameterCommand, ParameterOutcome, ParameterReport, ParameterValue, Path,
+        Stop, Waypoint,
+    },
     tile::{Cell, Epoch, TileId, tile_hash},
     time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
@@ -176,6 +179,14 @@ impl Bench {
         }
     }
 
+    /// Sends a command about parameters, and waits for a second. Returns the newest report.
+    fn parameter(&mut self, number: u16, action: ParameterAction) -> ParameterReport {
+        let command = ParameterCommand { number, action };
+        self.server.command(ROBOT, Order::Parameter(command)).unwrap();
+        self.live(1);
+        self.server.parameters(ROBOT).unwrap().clone()
+    }
+
     fn report(&mut self) -> Value {
         let told = self.robot.step(&json!({ "now": self.now + AHEAD, "report": true }));
         self.take(&told);
@@ -246,20 +257,31 @@ fn the_robot_in_python_agrees_with_the_server() {
         (2, set(4, 10_001)),
         (3, ParameterAction::Get(99)),
         (4, ParameterAction::List),
+        (5, ParameterAction::Get(13)),
+        (6, set(13, 0)),
+        // It is stopped on its way.
+        (7, set(13, 1)),
     ] {
-        let command = ParameterCommand { number, action };
-        bench.server.command(ROBOT, Order::Parameter(command)).unwrap();
-        bench.live(1);
-        let report = bench.server.parameters(ROBOT).unwrap();
+        let report = bench.parameter(number, action);
         let told = (report.number, format!("{:?}", report.outcome), report.values.len());
-        let expected = [("Done", 1), ("OutOfRange", 1), ("Unknown", 0), ("Done", 8)];
+        let (done, refused) = (("Done", 1), ("OutOfRange", 1));
+        let expected = [done, refused, ("Unknown", 0), ("Done", 9), done, refused, done];
         let (outcome, values) = expected[usize::from(number) - 1];
         assert_eq!(told, (number, outcome.into(), values));
+        if number >= 5 {
+            assert_eq!(
+                report.values[0],
+                ParameterValue { parameter: 13, value: i32::from(number == 7) }
+            );
+        }
     }
     let report = bench.check();
     assert_eq!(report["odometry"], json!([0.0, 0.0]), "it was stopped");
+    bench.parameter(8, set(4, 60));
     bench.server.command(ROBOT, Order::Stop(Stop { number: 2, stop: false })).unwrap();
-    bench.live(4);
+    let report = bench.parameter(9, set(13, 1));
+    assert_eq!(report.outcome, ParameterOutcome::OutOfRange, "it drives");
+    bench.live(3);
     let report = bench.check();
     let x = report["odometry"][0].as_f64().unwrap();
     assert!((x - 300.0).abs() < 2.0, "{x}");

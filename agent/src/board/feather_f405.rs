@@ -26,12 +26,15 @@ pub(crate) type Led = PC1<Output>;
 impl Board {
     /// Sets up the board, with the baud rates of its three ports; `None` if it was set up before.
     pub(crate) fn take([server, sensor, wheels]: [u32; 3]) -> Option<Self> {
-        let core = Peripherals::take()?;
+        #[cfg_attr(not(feature = "flash"), expect(unused_mut, reason = "its cycles are counted"))]
+        let mut core = Peripherals::take()?;
         let chip = pac::Peripherals::take()?;
         let was_reset_by_watchdog = chip::was_reset_by_watchdog(&chip.RCC);
         let timer_hz = chip::start_pll(&chip.RCC, &chip.FLASH);
         let mut rcc = chip.RCC.constrain();
         chip::start_alarm(chip.TIM2, timer_hz, &mut rcc);
+        #[cfg(feature = "flash")]
+        chip::Clock::count_cycles(&mut core.DCB, &mut core.DWT);
         let clock = chip::Clock::start(core.SYST);
 
         let pins = chip.GPIOB.split(&mut rcc);
@@ -51,7 +54,9 @@ impl Board {
         let nonce = chip::boot_nonce(&chip.RNG, &mut rcc);
         // Before the watchdog starts, because erasing may take as long as its time.
         #[cfg(feature = "flash")]
-        let identity = super::identity::identity(super::flash::Sectors(chip.FLASH));
+        let mut flash = super::flash::Sectors(chip.FLASH);
+        #[cfg(feature = "flash")]
+        let identity = super::identity::identity(&mut flash);
         let watchdog = chip::Watchdog::start(chip.IWDG);
         let ports = [server, sensor, wheels];
         Some(Self {
@@ -64,6 +69,8 @@ impl Board {
             nonce,
             #[cfg(feature = "flash")]
             identity,
+            #[cfg(feature = "flash")]
+            flash,
         })
     }
 }

@@ -1,5 +1,5 @@
 //! The slots of the robot's identity in the STM32F405's flash: its last two sectors, of 128 KiB each.
-//! Erasing one takes 1 to 2 s, in which the core stands still: every 32,727 boots.
+//! Erasing one takes 1 to 2 s, in which the core stands still: every 32,727 boots, and when parameters are stored.
 //!
 //! The emulator ignores writing, so there a robot with a key refuses to run.
 
@@ -9,7 +9,11 @@ use cortex_m::asm;
 use stm32f4xx_hal::pac::FLASH;
 use ubimap_agent::flash::{NorFlash, Slot};
 
-pub(super) struct Sectors(pub(super) FLASH);
+/// The last two sectors of the flash.
+pub(crate) struct Sectors(pub(super) FLASH);
+
+/// The slots.
+pub(crate) type Slots = Sectors;
 
 /// Size of a sector in bytes.
 const SECTOR: usize = 128 << 10;

@@ -8,9 +8,9 @@ use ubimap_agent::flash::{Identity, NorFlash, Seed, UNPROVISIONED, identify};
 static SEED: [u8; UNPROVISIONED.len()] = UNPROVISIONED;
 
 /// Reads the robot's identity and counts the boot: usually some milliseconds.
-pub(super) fn identity(mut flash: impl NorFlash) -> Identity {
+pub(super) fn identity(flash: &mut impl NorFlash) -> Identity {
     #[allow(unsafe_code, reason = "the compiler must not assume the static's value")]
     // SAFETY: the pointer is that of a static.
     let seed = unsafe { ptr::read_volatile(&raw const SEED) };
-    identify(&mut flash, Seed::parse(&seed))
+    identify(flash, Seed::parse(&seed))
 }

@@ -28,6 +28,8 @@ mod serial;
 mod vl53;
 
 use cortex_m::peripheral::NVIC;
+#[cfg(feature = "flash")]
+use ubimap_protocol::message::ParameterValue;
 
 #[cfg(feature = "journal")]
 pub(crate) use chip::JournalPort;
@@ -56,6 +58,9 @@ pub(crate) struct Board {
     /// The robot's number, key and parameters.
     #[cfg(feature = "flash")]
     pub(crate) identity: ubimap_agent::flash::Identity,
+    /// Where they are kept.
+    #[cfg(feature = "flash")]
+    pub(crate) flash: flash::Slots,
     /// The motors until the robot takes them, and their encoders.
     #[cfg(feature = "motors")]
     pub(crate) motors: Option<motors::Motors>,
@@ -64,6 +69,15 @@ pub(crate) struct Board {
     /// The sensor of 8 x 8 zones; `None` if it does not answer.
     #[cfg(feature = "vl53")]
     pub(crate) zones: Option<vl53::ZoneSensor>,
+}
+
+#[cfg(feature = "flash")]
+impl Board {
+    /// Stores parameters for later boots. The core may stand still for 2 s. Returns whether they are stored.
+    pub(crate) fn store(&mut self, parameters: &[ParameterValue]) -> bool {
+        let Self { clock, watchdog, flash, .. } = self;
+        chip::stand_still(*clock, watchdog, || ubimap_agent::flash::store(flash, parameters))
+    }
 }
 
 /// No port, because the image is built without a journal.

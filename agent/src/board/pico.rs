@@ -36,7 +36,8 @@ impl Board {
     pub(crate) fn take([_, sensor, wheels]: [u32; 3]) -> Option<Self> {
         let mut chip = chip::start()?;
         // First, because nothing else runs while flash is written: no USB, no wheels, no watchdog.
-        let identity = identity(Paged(Sectors));
+        let mut flash = Paged(Sectors);
+        let identity = identity(&mut flash);
         let pins = chip.pins;
         let server = chip::start_usb(chip.usb)?;
         let parts = (chip.uart0, pins.gpio0, pins.gpio1);
@@ -76,6 +77,7 @@ impl Board {
             was_reset_by_watchdog: chip.was_reset_by_watchdog,
             nonce: chip.nonce,
             identity,
+            flash,
             #[cfg(feature = "motors")]
             motors: Some(motors),
             #[cfg(feature = "motors")]

@@ -222,6 +222,14 @@ impl Watchdog {
     }
 }
 
+/// Does what may take half a second.
+pub(super) fn stand_still<T>(_: Clock, watchdog: &mut Watchdog, work: impl FnOnce() -> T) -> T {
+    watchdog.feed();
+    let done = work();
+    watchdog.feed();
+    done
+}
+
 /// A number that differs from boot to boot: bits of the ring oscillator, sampled by the crystal's clock.
 fn boot_nonce(noise: &ROSC) -> u64 {
     // Neighbouring samples are alike; a thousand are not.

@@ -2,7 +2,8 @@
 //!
 //! The image runs from this flash, which can't be read while it is written. So the ROM's routines write it, called by
 //! a function in RAM, with interrupts masked: up to 3 ms for a page, and 45 to 400 ms for a sector (W25Q16JV), every
-//! 245 boots. USB would not be served in that time, nor would the wheels: the slots are written before either starts.
+//! 245 boots. USB is not served in that time (its controller tells the host to wait), nor are the ports: the slots are
+//! written before these start, and when parameters are stored, while the wheels stand.
 //!
 //! Tried in the emulator rp2040js for the RP2040, with stand-ins for the ROM (`tests/tests/pico.rs`); never on a board.
 
@@ -12,12 +13,15 @@ use cortex_m::{
     asm,
     interrupt::{self as interrupts},
 };
-use ubimap_agent::flash::{PAGE, PagedFlash, Slot};
+use ubimap_agent::flash::{PAGE, Paged, PagedFlash, Slot};
 
 use super::chip::{SETUP_WORDS, flash_setup, hal::rom_data};
 
 /// The last two sectors of the flash.
-pub(super) struct Sectors;
+pub(crate) struct Sectors;
+
+/// The slots.
+pub(crate) type Slots = Paged<Sectors>;
 
 /// Size of a sector in bytes.
 const SECTOR: usize = 4 << 10;

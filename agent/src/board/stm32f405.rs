@@ -5,6 +5,8 @@
 
 use core::cell::Cell;
 
+#[cfg(feature = "flash")]
+use cortex_m::peripheral::{DCB, DWT};
 use cortex_m::{
     interrupt::{self as interrupts, Mutex},
     peripheral::{SCB, SYST, syst::SystClkSource},
@@ -120,6 +122,27 @@ impl Clock {
             let micros = whole * u64::from(PERIOD_MICROS) + u64::from(part / PER_MICRO);
             Instant::from_micros(micros)
         })
+    }
+}
+
+#[cfg(feature = "flash")]
+impl Clock {
+    /// Lets a debugger's counter of cycles run, which goes on while the core stands still.
+    pub(super) fn count_cycles(dcb: &mut DCB, dwt: &mut DWT) {
+        dcb.enable_trace();
+        dwt.enable_cycle_counter();
+    }
+
+    /// Counts the periods whose ends nobody has seen since a time and its cycle, less than 25 s ago.
+    fn catch_up(self, (time, cycle): (Instant, u32)) {
+        let (now, cycles) = (self.now(), DWT::cycle_count().wrapping_sub(cycle));
+        let counted = now.since(time).micros();
+        let missed = u64::from(cycles / PER_MICRO).saturating_sub(counted);
+        let periods = (missed + u64::from(PERIOD_MICROS / 2)) / u64::from(PERIOD_MICROS);
+        interrupts::free(|cs| {
+            let whole = PERIODS.borrow(cs);
+            whole.set(whole.get() + periods);
+        });
     }
 }
 
@@ -293,6 +316,9 @@ impl JournalPort {
     }
 }
 
+/// The watchdog's usual time, in units of 2 ms.
+const USUAL_RELOAD: u16 = 1_000;
+
 /// The watchdog resets the robot if the main loop has not run for 2 s.
 pub(crate) struct Watchdog(IWDG);
 
@@ -302,14 +328,35 @@ impl Watchdog {
         watchdog.kr().write(|w| w.key().start());
         watchdog.kr().write(|w| w.key().unlock());
         watchdog.pr().write(|w| w.pr().divide_by64());
-        watchdog.rlr().write(|w| w.rl().set(1_000));
+        watchdog.rlr().write(|w| w.rl().set(USUAL_RELOAD));
         Self(watchdog)
+    }
+
+    /// Changes the watchdog's time, in units of 2 ms up to 4,095, and restarts it.
+    #[cfg(feature = "flash")]
+    fn set(&mut self, reload: u16) {
+        self.0.kr().write(|w| w.key().unlock());
+        self.0.rlr().write(|w| w.rl().set(reload));
+        // It counts once it has crossed to the watchdog's own clock: some 0.2 ms.
+        while self.0.sr().read().rvu().bit_is_set() {}
+        self.feed();
     }
 
     /// Restarts the watchdog's time.
     pub(crate) fn feed(&mut self) {
         self.0.kr().write(|w| w.key().feed());
     }
+}
+
+/// Does what stops the core, with its interrupts, for up to 3 s.
+#[cfg(feature = "flash")]
+pub(super) fn stand_still<T>(clock: Clock, watchdog: &mut Watchdog, work: impl FnOnce() -> T) -> T {
+    watchdog.set(2 * USUAL_RELOAD);
+    let before = (clock.now(), DWT::cycle_count());
+    let done = work();
+    clock.catch_up(before);
+    watchdog.set(USUAL_RELOAD);
+    done
 }
 
 /// Whether the watchdog caused the last reset; clears the record of it. In the emulator never.

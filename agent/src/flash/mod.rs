@@ -4,7 +4,7 @@
 //! the first boot [`identify`] copies it into one of two slots of a [`NorFlash`], which images leave
 //! alone, and counts boots there. So an image without a seed is an update that keeps the robot's
 //! number and key, a seed replaces them, and a boot number is never used twice with a key, whatever
-//! is flashed, and wherever the power is cut.
+//! is flashed, and wherever the power is cut. Parameters that were set since can be kept there too: [`store`].
 
 mod paged;
 mod record;
@@ -21,7 +21,7 @@ pub use record::{MAGIC, Record, SEED_LEN, Seed, UNPROVISIONED};
 pub use slots::{HEAD, NorFlash, Slot};
 pub use wireless::{MAX_NAME, MAX_PASSWORD, WIRELESS_LEN, WITHOUT_NETWORK, Wireless};
 
-use ubimap_protocol::units::RobotId;
+use ubimap_protocol::{message::ParameterValue, units::RobotId};
 
 use crate::{Config, Port, Seal};
 use slots::Slots;
@@ -55,6 +55,7 @@ impl Identity {
             Self::Known(record, seal) => {
                 (config.robot, config.seal) = (record.robot, *seal);
                 config.set(&record.parameters);
+                config.keeps_parameters = true;
             }
             Self::Unknown | Self::NotKept => config.robot = RobotId(0),
         }
@@ -79,4 +80,13 @@ pub fn identify(flash: &mut impl NorFlash, seed: Option<Seed>) -> Identity {
             _ => Identity::NotKept,
         },
     }
+}
+
+/// Keeps parameters for the boots to come, in the place of their former values. Returns whether they are kept:
+/// not without a record, without room for more of them, or in a flash that can't be written.
+///
+/// Erases a slot, programs it, and uses up the number of a boot. Wherever the power is cut, the next boot has
+/// either all of the new values or none.
+pub fn store(flash: &mut impl NorFlash, changed: &[ParameterValue]) -> bool {
+    Slots::new(flash).store(changed).is_ok()
 }

@@ -18,7 +18,7 @@
 //! cut at its first word, or while it was erased again, may look complete at one boot and damaged at the next: once a boot
 //! has found it damaged, the other slot's last word says that it is void.
 
-use ubimap_protocol::checksum::crc32;
+use ubimap_protocol::{checksum::crc32, message::ParameterValue};
 
 use super::record::{CRC_LEN, RECORD_LEN, Record, Seed, copy};
 
@@ -119,10 +119,35 @@ impl<'f, F: NorFlash> Slots<'f, F> {
     /// `None` if there is no record.
     pub(super) fn boot(&mut self, seed: Option<&Seed>) -> Result<Option<(Record, u32)>, NotKept> {
         let (newest, is_damaged) = self.newest();
+        let known = newest.as_ref().map(|newest| newest.seed);
+        let new = seed.filter(|seed| known != Some(seed.crc));
+        let new = new.map(|seed| (seed.crc, &seed.record));
+        self.advance((newest, is_damaged), new)
+    }
+
+    /// Changes parameters of the record that counts, which uses up the number of a boot.
+    pub(super) fn store(&mut self, changed: &[ParameterValue]) -> Result<(), NotKept> {
+        let (newest, is_damaged) = self.newest();
+        let (seed, mut record) = newest.clone().map(|it| (it.seed, it.record)).ok_or(NotKept)?;
+        for &new in changed {
+            let old = record.parameters.iter_mut().find(|old| old.parameter == new.parameter);
+            match old {
+                Some(old) => *old = new,
+                None => record.parameters.push(new).map_err(|_| NotKept)?,
+            }
+        }
+        self.advance((newest, is_damaged), Some((seed, &record)))?;
+        Ok(())
+    }
+
+    /// Writes a record that is `new`, with the CRC of its seed, and counts a boot.
+    fn advance(
+        &mut self,
+        (newest, is_damaged): (Option<Writing>, bool),
+        new: Option<(u32, &Record)>,
+    ) -> Result<Option<(Record, u32)>, NotKept> {
         let old = newest.as_ref();
         let known = old.map(|old| (old.seed, &old.record));
-        let new = seed.map(|seed| (seed.crc, &seed.record));
-        let new = new.filter(|(crc, _)| known.is_none_or(|(old, _)| old != *crc));
         let Some((seed, record)) = new.or(known) else { return Ok(None) };
         let logged = old.map_or(0, |old| self.logged(old.slot));
         if let (Some(old), 0) = (old, logged) {

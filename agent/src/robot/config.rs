@@ -71,6 +71,9 @@ pub struct Config<D = NoDrive> {
     pub vector_interval: Duration,
     /// The minimum epoch of new tiles.
     pub first_epoch: Epoch,
+    /// Whether the board can keep parameters for later boots, so that it asks the robot for them
+    /// ([`Machine::poll_store`](crate::Machine::poll_store)).
+    pub keeps_parameters: bool,
     /// The drive: [`Driving`](crate::drive::Driving) or [`NoDrive`].
     pub drive: D,
 }
@@ -113,6 +116,7 @@ impl Config {
             hold: Duration::from_secs(1),
             vector_interval: Duration::from_secs(5),
             first_epoch: Epoch(0),
+            keeps_parameters: false,
             drive: NoDrive,
         }
     }
@@ -144,6 +148,7 @@ impl<D> Config<D> {
             hold: self.hold,
             vector_interval: self.vector_interval,
             first_epoch: self.first_epoch,
+            keeps_parameters: self.keeps_parameters,
         }
     }
 

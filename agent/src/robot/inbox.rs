@@ -165,7 +165,9 @@ impl Mapper<'_> {
     /// Executes a command that reads or changes parameters.
     fn configure(&mut self, command: &ParameterCommand) {
         let first_epoch = self.settings.first_epoch;
-        self.outbox.answer = Some(carry_out(command, &mut self.settings));
+        if let Some(answer) = carry_out(command, &mut self.settings) {
+            self.outbox.answer = Some(answer);
+        }
         self.outbox.publisher.set_hold(self.settings.hold);
         if let ParameterAction::Set(_) = command.action {
             // The table of beams is recomputed whichever parameter was set: commands are rare, and

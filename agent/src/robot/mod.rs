@@ -18,12 +18,14 @@ mod scans;
 mod settings;
 mod statistics;
 mod surroundings;
+mod unstored;
 mod writing;
 
+use heapless::Vec;
 use ubimap_protocol::{
     frame::SessionId,
     link::Counters,
-    message::{EventCode, RefusalReason},
+    message::{EventCode, MAX_PARAMETERS, ParameterValue, RefusalReason},
     tile::Epoch,
     time::Instant,
     units::{Angle, Pose},
@@ -301,6 +303,21 @@ impl<'b, D: Drive> Robot<'b, D> {
     /// Why the robot is stopped by [`Robot::stop`]; `None` if it is not.
     pub fn stopped(&self) -> Option<StopReason> {
         self.halt.map(|halt| halt.reason)
+    }
+
+    /// The parameters to be stored, while a command of the server to store them waits. The board then
+    /// calls [`Robot::stored`]. Only with [`Config::keeps_parameters`].
+    pub fn poll_store(&self) -> Option<Vec<ParameterValue, MAX_PARAMETERS>> {
+        parameters::unstored(&self.mapper.settings)
+    }
+
+    /// Answers the command that waits for the board: whether the parameters of [`Robot::poll_store`] are
+    /// stored, so that they apply after the next boot.
+    pub fn stored(&mut self, is_stored: bool) {
+        let Mapper { settings, outbox, .. } = &mut self.mapper;
+        if let Some(answer) = parameters::finish(settings, is_stored) {
+            outbox.answer = Some(answer);
+        }
     }
 
     /// Does the work that is due at `now`: drops expired scans, ages the map's evidence, and steps

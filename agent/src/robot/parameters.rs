@@ -48,6 +48,9 @@ pub enum Parameter {
     /// The minimum and the maximum brightness of a pixel whose depth is valid, in the value's upper
     /// and lower half.
     Exposure = 12,
+    /// 1 if none of the others but the first epoch was set since the robot booted or stored them. Setting it to
+    /// 1 stores them for later boots. Only robots whose board can do that have it.
+    Stored = 13,
 }
 
 /// Packs two numbers into the upper and lower half of a value.
@@ -78,12 +81,21 @@ impl Parameter {
         Self::RemovedBearings,
         Self::RemovedDistances,
         Self::Exposure,
+        Self::Stored,
     ];
 
-    /// The parameter with this number, as a slice of one; empty if unknown.
-    fn of(number: u16) -> &'static [Self] {
+    /// Those that a robot has.
+    fn of(settings: &Settings) -> &'static [Self] {
+        match Self::ALL {
+            [settable @ .., Self::Stored] if !settings.unstored.has_storage() => settable,
+            all => all,
+        }
+    }
+
+    /// This one of `all`, by its number, as a slice of one; empty if it is not among them.
+    fn numbered(number: u16, all: &'static [Self]) -> &'static [Self] {
         let found = |parameter: &&[Self]| parameter.iter().any(|it| *it as u16 == number);
-        Self::ALL.chunks(1).find(found).unwrap_or_default()
+        all.chunks(1).find(found).unwrap_or_default()
     }
 
     /// The parameter's name, for people.
@@ -101,10 +113,11 @@ impl Parameter {
             Self::RemovedBearings => "removed-bearings",
             Self::RemovedDistances => "removed-distances",
             Self::Exposure => "exposure",
+            Self::Stored => "stored",
         }
     }
 
-    /// The minimum and the maximum of its values.
+    /// The minimum and the maximum of the values that can be set.
     pub fn range(self) -> (i32, i32) {
         match self {
             Self::MountingX | Self::MountingY => (-2_000, 2_000),
@@ -113,6 +126,7 @@ impl Parameter {
             Self::GateTurn => (0, 32_767),
             Self::Hold | Self::ScanDeadline => (0, 60_000),
             Self::FirstEpoch => (0, 1 << 30),
+            Self::Stored => (1, 1),
             Self::RemovedPixels
             | Self::RemovedBearings
             | Self::RemovedDistances
@@ -145,6 +159,7 @@ impl Parameter {
                 value_of(from, to)
             }
             Self::Exposure => value_of(settings.exposure.darkest, settings.exposure.brightest),
+            Self::Stored => settings.unstored.is_empty().into(),
         };
         ParameterValue { parameter: self as u16, value }
     }
@@ -171,8 +186,26 @@ impl Parameter {
             }
             Self::RemovedDistances => settings.validity.removed = (upper, lower),
             Self::Exposure => settings.exposure = Exposure { darkest: upper, brightest: lower },
+            Self::Stored => return,
+        }
+        // The first epoch is the server's business: each boot begins at 0.
+        if self != Self::FirstEpoch {
+            settings.unstored.add(self as u16);
         }
     }
+}
+
+/// The values of some of the parameters.
+fn values<'p>(
+    parameters: impl Iterator<Item = &'p Parameter>,
+    settings: &Settings,
+) -> Vec<ParameterValue, MAX_PARAMETERS> {
+    let mut values = Vec::new();
+    for parameter in parameters {
+        // The number of parameters is checked against the capacity at compile time, below.
+        let _ = values.push(parameter.value(settings));
+    }
+    values
 }
 
 /// The reply to a command: the parameters that are still to be reported.
@@ -183,21 +216,25 @@ pub(crate) struct Answer {
     untold: &'static [Parameter],
 }
 
-/// Executes a command.
-pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> Answer {
+/// Executes a command. `None` if it waits until the parameters are stored.
+pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> Option<Answer> {
     let mut outcome = ParameterOutcome::Done;
     let number = command.number;
+    let all = Parameter::of(settings);
     let wanted = match command.action {
-        ParameterAction::List => return Answer { number, outcome, untold: Parameter::ALL },
-        ParameterAction::Get(number) => Parameter::of(number),
+        ParameterAction::List => return Some(Answer { number, outcome, untold: all }),
+        ParameterAction::Get(number) => Parameter::numbered(number, all),
         ParameterAction::Set(ParameterValue { parameter, value }) => {
-            let wanted = Parameter::of(parameter);
+            let wanted = Parameter::numbered(parameter, all);
             if let Some(wanted) = wanted.first() {
                 let (least, most) = wanted.range();
-                if (least..=most).contains(&value) {
-                    wanted.set(settings, value);
-                } else {
+                if !(least..=most).contains(&value) {
                     outcome = ParameterOutcome::OutOfRange;
+                } else if *wanted == Parameter::Stored && !settings.unstored.is_empty() {
+                    settings.unstored.begin(number);
+                    return None;
+                } else {
+                    wanted.set(settings, value);
                 }
             }
             wanted
@@ -206,7 +243,22 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
     if wanted.is_empty() {
         outcome = ParameterOutcome::Unknown;
     }
-    Answer { number, outcome, untold: wanted }
+    Some(Answer { number, outcome, untold: wanted })
+}
+
+/// The parameters to be stored, while a command waits for that.
+pub(super) fn unstored(settings: &Settings) -> Option<Vec<ParameterValue, MAX_PARAMETERS>> {
+    let Settings { unstored, .. } = settings;
+    let set = Parameter::ALL.iter().filter(|it| unstored.has(**it as u16));
+    unstored.is_waiting().then(|| values(set, settings))
+}
+
+/// The answer to the command that waited until the parameters were stored.
+pub(super) fn finish(settings: &mut Settings, is_stored: bool) -> Option<Answer> {
+    let number = settings.unstored.end(is_stored)?;
+    let outcome = if is_stored { ParameterOutcome::Done } else { ParameterOutcome::OutOfRange };
+    let untold = Parameter::numbered(Parameter::Stored as u16, Parameter::ALL);
+    Some(Answer { number, outcome, untold })
 }
 
 const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
@@ -239,11 +291,7 @@ pub(crate) fn push_report(
 ) -> bool {
     let Some(Answer { number, outcome, untold }) = answer else { return false };
     let told = writer.push_longest(0..=untold.len(), |count| {
-        let mut values = Vec::new();
-        for parameter in untold.iter().take(count) {
-            // The number of parameters is checked against the capacity at compile time, above.
-            let _ = values.push(parameter.value(settings));
-        }
+        let values = values(untold.iter().take(count), settings);
         ParameterReport { number: *number, outcome: *outcome, values }
     });
     let Some(count) = told else { return false };
@@ -260,6 +308,10 @@ mod tests {
     use crate::{Bounds, sense::SensorModel};
     use ubimap_protocol::{message::Messages, units::RobotId};
 
+    /// Those that every robot has.
+    const SETTABLE: &[Parameter] = Parameter::ALL.split_last().unwrap().1;
+    const STORED: &[Parameter] = &[Parameter::Stored];
+
     fn settings() -> Settings {
         let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
         Settings::from(&Config::new(RobotId(1), sensor, Bounds::SMALL))
@@ -273,10 +325,10 @@ mod tests {
     #[test]
     fn every_parameter_reads_back_what_was_set() {
         let mut settings = settings();
-        for &parameter in Parameter::ALL {
+        for &parameter in SETTABLE {
             let (least, most) = parameter.range();
             for value in [most, least.max(0), most / 3] {
-                let answer = carry_out(&set(parameter as u16, value), &mut settings);
+                let answer = carry_out(&set(parameter as u16, value), &mut settings).unwrap();
                 let told = (answer.outcome, answer.untold);
                 assert_eq!(told, (ParameterOutcome::Done, &[parameter][..]));
                 assert_eq!(
@@ -286,14 +338,14 @@ mod tests {
             }
         }
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
-        assert_eq!(carry_out(&list, &mut settings).untold, Parameter::ALL);
+        assert_eq!(carry_out(&list, &mut settings).unwrap().untold, SETTABLE);
     }
 
     #[test]
     fn a_configuration_takes_every_parameter() {
         let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
         let mut config = Config::new(RobotId(1), sensor, Bounds::SMALL);
-        for &parameter in Parameter::ALL {
+        for &parameter in SETTABLE {
             let value =
                 ParameterValue { parameter: parameter as u16, value: parameter.range().1 / 3 };
             config.set(&[value, ParameterValue { parameter: 99, value: 1 }]);
@@ -321,7 +373,7 @@ mod tests {
     fn a_report_too_long_for_a_frame_is_split() {
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
         let mut settings = settings();
-        let mut answer = Some(carry_out(&list, &mut settings));
+        let mut answer = carry_out(&list, &mut settings);
         let mut numbers = std::vec::Vec::new();
         for _ in 0..Parameter::ALL.len() {
             let mut frame = [0; 24];
@@ -341,15 +393,58 @@ mod tests {
     #[test]
     fn unknown_parameters_and_values_out_of_range_change_nothing() {
         let mut changed = settings();
-        for &parameter in Parameter::ALL {
+        for &parameter in SETTABLE {
             let (least, most) = parameter.range();
             let beyond = [least.wrapping_sub(1), most.wrapping_add(1), i32::MIN, i32::MAX];
             for value in beyond.into_iter().filter(|value| !(least..=most).contains(value)) {
-                let report = carry_out(&set(parameter as u16, value), &mut changed);
+                let report = carry_out(&set(parameter as u16, value), &mut changed).unwrap();
                 assert_eq!(report.outcome, ParameterOutcome::OutOfRange);
             }
         }
-        assert_eq!(carry_out(&set(99, 0), &mut changed).outcome, ParameterOutcome::Unknown);
-        assert_eq!(changed, settings());
+        // The board of this robot stores nothing.
+        for unknown in [set(99, 0), set(13, 1)] {
+            let answer = carry_out(&unknown, &mut changed).unwrap();
+            assert_eq!((answer.outcome, answer.untold), (ParameterOutcome::Unknown, &[][..]));
+        }
+        assert_eq!((changed, unstored(&changed)), (settings(), None));
+    }
+
+    #[test]
+    fn what_was_set_is_stored_once() {
+        let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
+        let config = Config::new(RobotId(1), sensor, Bounds::SMALL);
+        let mut settings = Settings::from(&Config { keeps_parameters: true, ..config });
+        let stored = |settings: &mut Settings| {
+            let get = ParameterCommand { number: 1, action: ParameterAction::Get(13) };
+            let answer = carry_out(&get, settings).unwrap();
+            assert_eq!((answer.outcome, answer.untold), (ParameterOutcome::Done, &STORED[..]));
+            Parameter::Stored.value(settings).value
+        };
+        let (done, refused) = (ParameterOutcome::Done, ParameterOutcome::OutOfRange);
+        let answer = |outcome| Some(Answer { number: 9, outcome, untold: STORED });
+        let list = ParameterCommand { number: 1, action: ParameterAction::List };
+        assert_eq!(carry_out(&list, &mut settings).unwrap().untold, Parameter::ALL);
+        // There is nothing to store yet, and the first epoch is not stored.
+        assert_eq!(carry_out(&set(8, 77), &mut settings).unwrap().outcome, done);
+        assert_eq!(carry_out(&set(13, 1), &mut settings), answer(done));
+        assert_eq!((stored(&mut settings), finish(&mut settings, true)), (1, None));
+        // A value out of range sets nothing.
+        assert_eq!(carry_out(&set(4, -1), &mut settings).unwrap().outcome, refused);
+        assert_eq!(stored(&mut settings), 1);
+
+        for (parameter, value) in [(1, 120), (6, 300), (1, 130)] {
+            assert_eq!(carry_out(&set(parameter, value), &mut settings).unwrap().outcome, done);
+        }
+        assert_eq!(carry_out(&set(13, 0), &mut settings), answer(refused));
+        assert_eq!((stored(&mut settings), unstored(&settings)), (0, None));
+        let value = |parameter, value| ParameterValue { parameter, value };
+        for is_stored in [false, true] {
+            assert_eq!(carry_out(&set(13, 1), &mut settings), None, "it waits");
+            assert_eq!(unstored(&settings).unwrap()[..], [value(1, 130), value(6, 300)]);
+            let outcome = if is_stored { done } else { refused };
+            assert_eq!(finish(&mut settings, is_stored), answer(outcome));
+            assert_eq!(stored(&mut settings), i32::from(is_stored));
+            assert_eq!((unstored(&settings), finish(&mut settings, true)), (None, None));
+        }
     }
 }

@@ -4,6 +4,7 @@
 
 mod contact;
 mod line;
+mod stored;
 
 use std::{
     path::{Path, PathBuf},
@@ -48,6 +49,7 @@ use crate::{
 
 use contact::Contact;
 use line::Line;
+use stored::Stored;
 
 /// Speed of serial ports, other than a lidar's, in bits per second.
 const BAUD: u32 = 115_200;
@@ -90,6 +92,8 @@ pub struct RobotOptions {
 /// max_range_m = 2.5
 /// resolution_m = 0.05               # the server's
 /// ```
+///
+/// What `ubimap param store` has stored is in a file beside it with the ending `.parameters`.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotFile {
@@ -245,7 +249,9 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
     let seal = file.keys.as_ref().map(|folder| seal(path, &beside.join(folder), file.id));
     let seal = seal.transpose()?;
     let config = file.config(getrandom::u32().map_err(RunError::Randomness)?);
-    let config = Config { seal, ..config };
+    let mut config = Config { seal, keeps_parameters: true, ..config };
+    let stored = Stored::beside(path)?;
+    config.set(&stored.values().collect::<Vec<_>>());
     let mut memory = Memory::<Heap, Option<Driving>>::new(&config.bounds);
     let device = |port, path: &Path, baud| {
         let path = beside.join(path);
@@ -271,6 +277,7 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
         intake: Intake::default(),
         started: time::Instant::now(),
         contact,
+        stored,
     };
     if let Some(path) = file.lidar() {
         let mut sectors = [0; LIDAR_READINGS];
@@ -312,6 +319,7 @@ struct Program {
     intake: Intake<()>,
     started: time::Instant,
     contact: Contact,
+    stored: Stored,
 }
 
 impl Program {
@@ -360,6 +368,13 @@ impl Program {
         }
         let now = self.now();
         machine.timeout(now);
+        if let Some(parameters) = machine.poll_store(now) {
+            let is_stored = self.stored.store(&parameters);
+            machine.stored(is_stored.is_ok());
+            if let Err(error) = is_stored {
+                log::error!("{error}");
+            }
+        }
         self.drain(machine);
         let robot = machine.robot();
         if let Some((level, text)) = self.contact.follow(robot.is_connected(), robot.refusal(), now)

@@ -51,7 +51,8 @@ impl RobotPeer {
     fn new(seal: Option<Seal>) -> Self {
         let memory: Box<memory!(BOUNDS)> = Box::new(Memory::EMPTY);
         let sensor = SensorModel::Radial { first: -1.6, step: 0.05 };
-        let config = Config { boot_nonce: 0x00B0_0700, seal, ..Config::new(KEY.0, sensor, BOUNDS) };
+        let config = Config::new(KEY.0, sensor, BOUNDS);
+        let config = Config { boot_nonce: 0x00B0_0700, seal, keeps_parameters: true, ..config };
         // It lives as long as the test.
         let robot = Robot::new(config, Box::leak(memory)).expect("the memory fits its bounds");
         Self { robot, next_odometry: Instant(0), next_scan: Instant(0) }
@@ -87,6 +88,10 @@ impl Peer for RobotPeer {
             let _ = self.robot.scan(now, &readings, now);
         }
         self.robot.timeout(now);
+        // As if it had a flash.
+        if self.robot.poll_store().is_some() {
+            self.robot.stored(true);
+        }
     }
 }
 

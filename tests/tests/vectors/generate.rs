@@ -409,6 +409,14 @@ fn to_server(cases: &mut Cases) {
         },
     );
     cases.add::<ToServer>(
+        "parameter report stored",
+        &ParameterReport {
+            number: 5,
+            outcome: ParameterOutcome::Done,
+            values: [value(13, 1)].into_iter().collect(),
+        },
+    );
+    cases.add::<ToServer>(
         "parameter report extreme",
         &ParameterReport {
             number: u16::MAX,
@@ -574,6 +582,11 @@ fn to_robot(cases: &mut Cases) {
     cases.add::<ToRobot>(
         "parameter get",
         &ParameterCommand { number: 2, action: ParameterAction::Get(3) },
+    );
+    let stored = ParameterValue { parameter: 13, value: 1 };
+    cases.add::<ToRobot>(
+        "parameter store",
+        &ParameterCommand { number: 5, action: ParameterAction::Set(stored) },
     );
     let value = ParameterValue { parameter: u16::MAX, value: i32::MIN };
     cases.add::<ToRobot>(

@@ -1,7 +1,8 @@
 //! The slots of the robot's identity: the first two sectors of the partition `nvs`, at 0x9000 and 0xA000.
 //!
 //! The partition table is before them, and an image begins at 0x10000 at the earliest. The radio's driver
-//! writes nothing there. By the usual flash chips' data sheets erasing one takes 50 to 400 ms, every 984 boots.
+//! writes nothing there. By the usual flash chips' data sheets erasing one takes 50 to 400 ms, every 984 boots, and when
+//! parameters are stored.
 
 use core::cell::RefCell;
 

@@ -36,7 +36,6 @@ use ubimap_agent::{
 };
 
 use configuration::{BAUDS, BOUNDS, SLICE_LENGTH};
-use flash::Sectors;
 use radio::Radio;
 use super_mini::{Board, Chip};
 use udp_link::{Buffers, Link};
@@ -69,7 +68,7 @@ fn main() -> ! {
 /// Starts the robot, and returns only if that fails.
 fn run(board: &mut Board, chip: Chip) -> Fault {
     // Before the scheduler and the radio start, since erasing stops everything.
-    let identity = identify(&mut Sectors::new(chip.flash), provisioned::seed());
+    let identity = identify(&mut board.flash, provisioned::seed());
     match &identity {
         Identity::Known(record, seal) => {
             let link = if seal.is_some() { "sealed" } else { "open" };

@@ -18,7 +18,7 @@ use core::{
 use esp_hal::{
     clock::CpuClock,
     gpio::{Level, Output, OutputConfig},
-    peripherals::{FLASH, FROM_CPU_INTR0, TIMG1, WIFI},
+    peripherals::{FROM_CPU_INTR0, TIMG1, WIFI},
     rng::{Trng, TrngSource},
     rtc_cntl::SocResetReason,
     system, time,
@@ -30,12 +30,14 @@ use esp_rtos::CurrentThreadHandle;
 use ubimap_agent::{
     Port,
     firmware::{self, Board as _},
+    flash::store,
     journal::Entry,
 };
-use ubimap_protocol::time::Instant;
+use ubimap_protocol::{message::ParameterValue, time::Instant};
 use udp_link::{Change, Link};
 
 use crate::{
+    flash::Sectors,
     radio::Radio,
     serial::{SENSOR, Serial, WHEELS, serve_sensor, serve_wheels},
 };
@@ -49,13 +51,14 @@ pub(crate) struct Board {
     watchdog: Wdt<TIMG1<'static>>,
     /// The link to the server, once the radio runs.
     pub(crate) link: Option<Link<Radio>>,
+    /// Where the robot's parameters are stored.
+    pub(crate) flash: Sectors,
     /// What keeps the radio connected.
     pub(crate) connection: Option<Pin<Box<dyn Future<Output = Infallible>>>>,
 }
 
 /// The rest of the chip, for the start.
 pub(crate) struct Chip {
-    pub(crate) flash: FLASH<'static>,
     pub(crate) radio: WIFI<'static>,
     pub(crate) scheduler_timer: Timer<'static>,
     pub(crate) scheduler_interrupt: FROM_CPU_INTR0<'static>,
@@ -83,15 +86,15 @@ impl Board {
         let nonce = Trng::try_new().ok()?.random();
         drop(noise);
         let watchdog = TimerGroup::new(chip.TIMG1).wdt;
+        let flash = Sectors::new(chip.FLASH);
         let chip = Chip {
-            flash: chip.FLASH,
             radio: chip.WIFI,
             scheduler_timer: TimerGroup::new(chip.TIMG0).timer0,
             scheduler_interrupt: chip.FROM_CPU_INTR0,
             nonce,
             was_reset_by_watchdog,
         };
-        Some((Self { led, watchdog, link: None, connection: None }, chip))
+        Some((Self { led, watchdog, link: None, flash, connection: None }, chip))
     }
 }
 
@@ -167,6 +170,12 @@ impl firmware::Board for Board {
 
     fn show(&mut self, lit: bool) {
         self.led.set_level(if lit { Level::Low } else { Level::High });
+    }
+
+    // Interrupts, and with them the radio, wait up to 0.4 s: less than the watchdog's time.
+    fn store(&mut self, parameters: &[ParameterValue]) -> bool {
+        self.watchdog.feed();
+        store(&mut self.flash, parameters)
     }
 
     fn wait(&mut self) {

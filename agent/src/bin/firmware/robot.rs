@@ -11,6 +11,8 @@ use ubimap_agent::{
     firmware::{self, Board as _, Fault},
     journal::Entry,
 };
+#[cfg(feature = "flash")]
+use ubimap_protocol::message::ParameterValue;
 use ubimap_protocol::time::Instant;
 
 use crate::{
@@ -152,6 +154,11 @@ impl firmware::Board for Running<'_> {
     fn show(&mut self, lit: bool) {
         // A failure of the LED is ignored.
         let _ = OutputPin::set_state(&mut self.board.led, lit.into());
+    }
+
+    #[cfg(feature = "flash")]
+    fn store(&mut self, parameters: &[ParameterValue]) -> bool {
+        self.board.store(parameters)
     }
 
     fn wait(&mut self) {

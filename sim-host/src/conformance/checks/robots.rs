@@ -151,6 +151,12 @@ pub(super) const CHECKS: &[Check] = &[
         rule: "a value out of range is refused, and changes nothing",
         run: out_of_range,
     },
+    Check {
+        name: "parameter-stored",
+        section: "6",
+        rule: "a robot says whether it has stored its parameters, and stores them",
+        run: stored,
+    },
 ];
 
 fn hello(talk: &mut Talk<'_>) -> Result<(), Halt> {
@@ -560,4 +566,41 @@ fn out_of_range(talk: &mut Talk<'_>) -> Result<(), Halt> {
         return Ok(());
     }
     fail(format!("{mounting:?} still"), format!("{after:?}"))
+}
+
+/// The parameter that says whether the others are stored.
+const STORED: u16 = 13;
+
+/// The robot's storage is written once, with the values that it has.
+fn stored(talk: &mut Talk<'_>) -> Result<(), Halt> {
+    talk.open()?;
+    let list = command(talk, ParameterAction::List)?;
+    if list.values.iter().all(|it| it.parameter != STORED) {
+        return skip("the robot has no parameter 13");
+    }
+    let set = |parameter, value| ParameterAction::Set(ParameterValue { parameter, value });
+    let zero = command(talk, set(STORED, 0))?;
+    if zero.outcome != ParameterOutcome::OutOfRange {
+        return fail("outcome out of range for parameter 13 = 0", format!("{:?}", zero.outcome));
+    }
+    let others = || list.values.iter().filter(|it| it.parameter != STORED && it.parameter != 8);
+    let Some(other) = others().next() else { return skip("the robot has no other parameter") };
+    command(talk, set(other.parameter, other.value))?;
+    for (action, stored) in
+        [(ParameterAction::Get(STORED), 0), (set(STORED, 1), 1), (ParameterAction::Get(STORED), 1)]
+    {
+        let report = command(talk, action)?;
+        let expected = ParameterValue { parameter: STORED, value: stored };
+        if report.outcome != ParameterOutcome::Done || report.values[..] != [expected] {
+            return fail(format!("{expected:?} for {action:?}"), format!("{report:?}"));
+        }
+    }
+    let after = command(talk, ParameterAction::List)?;
+    if others().all(|it| after.values.contains(it)) {
+        return Ok(());
+    }
+    fail(
+        format!("the same values of the other parameters: {:?}", list.values),
+        format!("{after:?}"),
+    )
 }

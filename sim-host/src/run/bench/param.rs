@@ -50,9 +50,13 @@ pub enum ParamAction {
         #[arg(allow_hyphen_values = true)]
         value: String,
     },
-    /// Show how to keep the robot's present parameters: they go into its image
+    /// Let the robot store its parameters for its later boots; its wheels must stand
     Store,
 }
+
+/// The command to store all parameters.
+const STORE: ParameterAction =
+    ParameterAction::Set(ParameterValue { parameter: Parameter::Stored as u16, value: 1 });
 
 /// A parameter for people and programs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -95,7 +99,8 @@ pub fn run(options: &ParamOptions) -> Result<String, RunError> {
     let usage = |reason| RunError::Parameter { reason };
     // Before the port is opened, so that a typing error costs no time.
     let command = match &options.action {
-        ParamAction::List { .. } | ParamAction::Store => ParameterAction::List,
+        ParamAction::List { .. } => ParameterAction::List,
+        ParamAction::Store => STORE,
         ParamAction::Get { name } => ParameterAction::Get(named(name).map_err(usage)? as u16),
         ParamAction::Set { name, value } => {
             let parameter = named(name).map_err(usage)?;
@@ -108,6 +113,15 @@ pub fn run(options: &ParamOptions) -> Result<String, RunError> {
     let report = bench.parameter(command)?;
     match report.outcome {
         ParameterOutcome::Done => {}
+        ParameterOutcome::Unknown if command == STORE => {
+            return Ok(in_image(&bench.parameter(ParameterAction::List)?.values));
+        }
+        ParameterOutcome::OutOfRange if command == STORE => {
+            return Err(bench.fault(
+                "the robot has not stored its parameters: its wheels turn (ubimap stop halts them), or its flash \
+                 does not keep what is written; they apply until its next boot",
+            ));
+        }
         ParameterOutcome::Unknown => return Err(bench.fault("the robot has no such parameter")),
         ParameterOutcome::OutOfRange => {
             return Err(bench.fault("the robot refuses the value: it is out of its range"));
@@ -131,7 +145,7 @@ fn answer(action: &ParamAction, report: &ParameterReport) -> String {
             };
             all.iter().map(one).collect()
         }
-        ParamAction::Store => stored(&report.values),
+        ParamAction::Store => "stored: the robot's next boots begin with these parameters\n".into(),
     }
 }
 
@@ -147,11 +161,11 @@ fn table(all: &[Shown]) -> String {
     text
 }
 
-/// How to keep the values. A robot's first epoch is the server's business.
-fn stored(values: &[ParameterValue]) -> String {
+/// How to keep the values of a robot that can't store them. Its first epoch is the server's business.
+fn in_image(values: &[ParameterValue]) -> String {
     let mut text = String::from(
-        "The protocol has no message that stores parameters. Put them into the robot's image and flash that:\n\n    \
-         ubimap provision IMAGE --id N",
+        "This robot can't store parameters. Put them into its image, built with the feature flash, and flash \
+         that:\n\n    ubimap provision IMAGE --id N",
     );
     for ParameterValue { parameter, value } in values {
         let known = Parameter::ALL.iter().find(|it| **it as u16 == *parameter);

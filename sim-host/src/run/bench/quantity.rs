@@ -1,7 +1,7 @@
 //! A parameter's value as people write it: its unit, its meaning, and its text.
 
 use ubimap_agent::Parameter;
-use ubimap_protocol::units::Angle;
+use ubimap_protocol::{message::ParameterValue, units::Angle};
 
 /// What kind of value a parameter has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +26,7 @@ fn quantity(parameter: Parameter) -> Quantity {
         }
         Parameter::MountingHeading | Parameter::GateTurn => Quantity::Angle,
         Parameter::Hold | Parameter::ScanDeadline => Quantity::Number("ms"),
-        Parameter::FirstEpoch => Quantity::Number(""),
+        Parameter::FirstEpoch | Parameter::Stored => Quantity::Number(""),
         Parameter::RemovedPixels => Quantity::Pair("", Some(NO_READINGS)),
         Parameter::RemovedBearings => Quantity::Bearings,
         Parameter::RemovedDistances => Quantity::Pair("mm", Some(0)),
@@ -51,6 +51,9 @@ pub fn meaning(parameter: Parameter) -> &'static str {
         Parameter::RemovedBearings => "readings never mapped, by bearing, counter-clockwise",
         Parameter::RemovedDistances => "readings never mapped, by distance",
         Parameter::Exposure => "light in which a depth is valid, darkest..brightest",
+        Parameter::Stored => {
+            "whether the next boot begins with these; ubimap param store sees to it"
+        }
     }
 }
 
@@ -66,6 +69,7 @@ pub fn unit(parameter: Parameter) -> &'static str {
 pub fn range(parameter: Parameter) -> String {
     let (least, most) = parameter.range();
     match quantity(parameter) {
+        Quantity::Number(_) if least == most => format!("{least} can be set"),
         Quantity::Number(_) => format!("{least} to {most}"),
         Quantity::Angle => format!("{:.0} to {:.0}", degrees(least), degrees(most)),
         Quantity::Pair(_, None) => "A..B, each 0 to 65535".into(),
@@ -135,6 +139,22 @@ pub fn named(name: &str) -> Result<Parameter, String> {
         let names: Vec<_> = Parameter::ALL.iter().map(|it| it.name()).collect();
         format!("there is no parameter {name:?}; there are {}", names.join(", "))
     })
+}
+
+/// A parameter that a robot can have from its start, by its name and its value on the wire.
+///
+/// # Errors
+/// What is expected, in one line.
+pub fn on_wire(name: &str, value: &str) -> Result<ParameterValue, String> {
+    let parameter = named(name)?;
+    if parameter == Parameter::Stored {
+        return Err("it says of a running robot whether its parameters are stored".into());
+    }
+    let (least, most) = parameter.range();
+    let value = value.trim().parse().ok().filter(|value| (least..=most).contains(value));
+    let value =
+        value.ok_or_else(|| format!("the value must be a whole number from {least} to {most}"))?;
+    Ok(ParameterValue { parameter: parameter as u16, value })
 }
 
 /// The upper and the lower half of a value.

@@ -10,17 +10,17 @@ use std::{
 };
 
 use clap::Args;
-use ubimap_agent::{
-    Parameter,
-    flash::{MAX_NAME, Record, Seed, Wireless},
-};
+use ubimap_agent::flash::{MAX_NAME, Record, Seed, Wireless};
 use ubimap_protocol::{
     message::{MAX_PARAMETERS, ParameterValue},
     units::RobotId,
 };
 
 use self::image::ImageFault;
-use super::keys::{self, KeysError};
+use super::{
+    bench::quantity::on_wire,
+    keys::{self, KeysError},
+};
 use crate::{
     files,
     report::{OutputError, OutputFile},
@@ -194,20 +194,9 @@ fn parameters(
         let refuse = |reason| ProvisionError::Set { given: given.clone(), reason };
         let (name, value) =
             given.split_once('=').ok_or_else(|| refuse("NAME=VALUE is expected".into()))?;
-        let known = Parameter::ALL.iter().find(|it| it.name() == name).ok_or_else(|| {
-            let names: Vec<_> = Parameter::ALL.iter().map(|it| it.name()).collect();
-            refuse(format!("there is no such parameter; there are {}", names.join(", ")))
-        })?;
-        let (least, most) = known.range();
-        let value = value.parse().ok().filter(|value| (least..=most).contains(value));
-        let value = value.ok_or_else(|| {
-            refuse(format!("the value must be a whole number from {least} to {most}"))
-        })?;
-        let parameter = *known as u16;
-        values.retain(|it| it.parameter != parameter);
-        values
-            .push(ParameterValue { parameter, value })
-            .map_err(|_| refuse(format!("more than {MAX_PARAMETERS} parameters")))?;
+        let value = on_wire(name, value).map_err(refuse)?;
+        values.retain(|it| it.parameter != value.parameter);
+        values.push(value).map_err(|_| refuse(format!("more than {MAX_PARAMETERS} parameters")))?;
     }
     Ok(values)
 }

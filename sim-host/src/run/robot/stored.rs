@@ -1,0 +1,101 @@
+//! The parameters that a robot has stored for its later starts, in a file beside its configuration.
+
+use std::{
+    collections::BTreeMap,
+    io,
+    path::{Path, PathBuf},
+};
+
+use ubimap_agent::Parameter;
+use ubimap_protocol::message::ParameterValue;
+
+use crate::{
+    files,
+    report::OutputFile,
+    run::{RunError, bench::quantity::on_wire},
+};
+
+/// Parameters by name, with their values on the wire.
+#[derive(Debug)]
+pub(super) struct Stored {
+    path: PathBuf,
+    values: BTreeMap<String, i32>,
+}
+
+impl Stored {
+    /// Those of the robot with this configuration; none if there is no file.
+    ///
+    /// # Errors
+    /// [`RunError::Deployment`] if the file can't be read, or is not what was written.
+    pub(super) fn beside(config: &Path) -> Result<Self, RunError> {
+        let path = config.with_extension("parameters");
+        let refuse = |reason| RunError::Deployment { path: path.clone(), reason };
+        let values: BTreeMap<String, i32> = match files::read_settings(&path) {
+            Ok(text) => {
+                toml::from_str(&text).map_err(|error| refuse(files::toml_fault(&error, &text)))?
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => BTreeMap::new(),
+            Err(error) => return Err(refuse(error.to_string())),
+        };
+        for (name, value) in &values {
+            on_wire(name, &value.to_string())
+                .map_err(|reason| refuse(format!("{name}: {reason}")))?;
+        }
+        Ok(Self { path, values })
+    }
+
+    /// The parameters.
+    pub(super) fn values(&self) -> impl Iterator<Item = ParameterValue> {
+        self.values.iter().filter_map(|(name, value)| on_wire(name, &value.to_string()).ok())
+    }
+
+    /// Stores some, in the place of their former values.
+    ///
+    /// # Errors
+    /// [`RunError`] if the file can't be written; then it is as before.
+    pub(super) fn store(&mut self, changed: &[ParameterValue]) -> Result<(), RunError> {
+        let mut values = self.values.clone();
+        for &ParameterValue { parameter, value } in changed {
+            // The robot's parameters are those that this program knows.
+            let known = Parameter::ALL.iter().find(|it| **it as u16 == parameter);
+            values.extend(known.map(|it| (it.name().to_owned(), value)));
+        }
+        // Numbers by names: serialising them can't fail.
+        let text = toml::to_string(&values).unwrap_or_default();
+        OutputFile::create(&self.path)?.finish(text.as_bytes())?;
+        self.values = values;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::Folder;
+
+    #[test]
+    fn what_was_stored_is_there_at_the_next_start() {
+        let folder = Folder::new("stored-parameters");
+        let config = folder.path().join("robot-1.toml");
+        let stored = || Stored::beside(&config);
+        assert_eq!(stored().unwrap().values().count(), 0);
+        let value = |parameter, value| ParameterValue { parameter, value };
+        stored().unwrap().store(&[value(6, 300), value(1, -20)]).unwrap();
+        stored().unwrap().store(&[value(1, 130)]).unwrap();
+        let values: Vec<_> = stored().unwrap().values().collect();
+        assert_eq!(values, [value(6, 300), value(1, 130)]);
+
+        for (text, told) in [
+            (
+                "mounting-x = 2001\n",
+                "mounting-x: the value must be a whole number from -2000 to 2000",
+            ),
+            ("speed = 1\n", "speed: there is no parameter \"speed\""),
+            ("hold = \n", "line 1"),
+        ] {
+            folder.file("robot-1.parameters", text.as_bytes());
+            let error = stored().unwrap_err().to_string();
+            assert!(error.contains("robot-1.parameters") && error.contains(told), "{error}");
+        }
+    }
+}
