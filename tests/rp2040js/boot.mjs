@@ -1,15 +1,18 @@
-// Boots a Raspberry Pi Pico once, in the emulator rp2040js, and writes what it sends over USB to standard output.
+// Boots a Raspberry Pi Pico once, in the emulator rp2040js, and writes what it sends over USB to standard output, or
+// connects its USB to a TCP port of this computer.
 //
-//     node boot.mjs FLASH SECONDS [WRITE] < IMAGE.uf2
+//     node boot.mjs FLASH SECONDS [WRITE [PORT]] < IMAGE.uf2
 //
 // FLASH is a file with the content of the flash, empty at first: the image is flashed over it, as a UF2 file is, and it is
-// kept for the next boot. The power is cut in the middle of the write with number WRITE, from 0 on, if there is one. The
+// kept for the next boot. The power is cut in the middle of the write with number WRITE, from 0 on, if there is one, after
+// SECONDS, and when the TCP port is closed. The
 // last line on standard error has the number of writes. It fails if anything reads the flash while that can't be read.
 //
 // The boot ROM is not there: its table leads to breakpoints, at which this file does what its routines do. It is stricter
 // than they are: every routine must be called in its turn, with interrupts masked, for the last two sectors alone.
 
 import fs from 'node:fs';
+import net from 'node:net';
 import { RP2040, Simulator, ConsoleLogger, LogLevel } from 'rp2040js';
 
 const FLASH = 0x1000_0000;
@@ -23,7 +26,7 @@ const CYCLE = 1e9 / 125e6;
 const PROGRAM_TIME = 0.4e6;
 const ERASE_TIME = 45e6;
 
-const [path, seconds, cut] = process.argv.slice(2);
+const [path, seconds, cut, port] = process.argv.slice(2);
 const simulator = new Simulator();
 const { clock, rp2040: chip } = simulator;
 const { core, usbCtrl: usb } = chip;
@@ -141,6 +144,25 @@ const requests = [[0, 5, 1, 0, 0, 0, 0, 0], [0, 9, 1, 0, 0, 0, 0, 0], [0x21, 0x2
 const request = () => requests.length && usb.sendSetupPacket(new Uint8Array(requests.shift()));
 let isPlugged = false;
 const said = [];
+let say = (bytes) => said.push(...bytes);
+if (port) {
+  const socket = await connected();
+  say = (bytes) => socket.write(bytes);
+  socket.on('data', (bytes) => heard.push(...bytes));
+  socket.on('close', () => (hasPower = false));
+  socket.on('error', () => (hasPower = false));
+}
+
+// Whoever listens at the port may not do so yet.
+async function connected() {
+  for (let tries = 0; tries < 100; tries += 1) {
+    const socket = net.connect(port, '127.0.0.1');
+    if (await new Promise((done) => socket.once('connect', () => done(true)).once('error', () => done(false)))) return socket;
+    await new Promise((done) => setTimeout(done, 100));
+  }
+  return fail(`nobody listens at ${port}`);
+}
+
 hook(usb, 'writeUint32', (offset, value) => {
   if (offset !== 0x4c || !(value & (1 << 16)) || isPlugged) return;
   isPlugged = true;
@@ -148,10 +170,21 @@ hook(usb, 'writeUint32', (offset, value) => {
 });
 usb.onUSBEnabled = () => {};
 usb.onResetReceived = request;
-usb.onEndpointRead = () => {};
+// What the host sends waits until the robot has a buffer for it.
+const heard = [];
+let room = 0;
+const hear = () => {
+  if (!room || !heard.length) return;
+  usb.endpointReadDone(1, new Uint8Array(heard.splice(0, room)));
+  room = 0;
+};
+usb.onEndpointRead = (endpoint, bytes) => {
+  if (endpoint === 1) room = bytes;
+  hear();
+};
 usb.onEndpointWrite = (endpoint, bytes) => {
   if (endpoint === 0 && bytes.length === 0) request();
-  if (endpoint === 2 && requests.length === 0) said.push(...bytes);
+  if (endpoint === 2 && requests.length === 0) say(bytes);
 };
 chip.peripherals[0x40058].onWatchdogTrigger = () => fail('the watchdog resets the robot');
 
@@ -161,9 +194,29 @@ for (const uart of chip.uart) {
   uart.readUint32 = (offset) => (offset === 4 ? 0 : read(offset));
 }
 
+// Nor does it model that an interrupt which the program has set pending is so until it is taken, and that of a device for
+// as long as the device asks for it.
+const asking = new Set();
+hook(core, 'setInterrupt', (number, value) => (value ? asking.add(number) : asking.delete(number)));
+hook(core, 'exceptionEntry', (number) => {
+  if (number >= 16) core.pendingInterrupts &= ~(1 << (number - 16));
+});
+hook(core, 'exceptionReturn', () => {
+  for (const number of asking) core.pendingInterrupts |= 1 << number;
+  core.interruptsUpdated = true;
+});
+
 core.VTOR = FLASH + PAGE;
 core.reset();
+const began = performance.now();
+let looked = 0;
 while (hasPower && clock.nanos < seconds * 1e9) {
+  // Every millisecond, and no faster than in real time, the socket's events.
+  if (port && clock.nanos > looked + 1e6) {
+    looked = clock.nanos;
+    hear();
+    await new Promise((done) => setTimeout(done, looked / 1e6 - (performance.now() - began)));
+  }
   // As in rp2040js itself, but a pending SysTick wakes the core as well, and exceptions begin at even addresses.
   if (core.waiting) {
     clock.tick(Math.max(clock.nanosToNextAlarm, CYCLE));
@@ -176,3 +229,4 @@ while (hasPower && clock.nanos < seconds * 1e9) {
 fs.writeFileSync(path, chip.flash.subarray(0, FLASH_LEN));
 fs.writeSync(1, Buffer.from(said));
 console.error(`writes: ${writes}`);
+if (port) process.exit();

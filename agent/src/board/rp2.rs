@@ -6,7 +6,7 @@ use core::{cell::Cell, sync::atomic::AtomicU8};
 
 use cortex_m::{
     interrupt::{self as interrupts, Mutex},
-    peripheral::{SYST, syst::SystClkSource},
+    peripheral::{NVIC, SYST, syst::SystClkSource},
     singleton,
 };
 use cortex_m_rt::exception;
@@ -376,6 +376,10 @@ fn USBCTRL_IRQ() {
     }
     if let Some(usb) = OWNED {
         usb.serve(&USB_QUEUES);
+        // The controller asks until its packet is taken: the main loop must run, which makes room.
+        if USB_QUEUES.received.room() == 0 {
+            NVIC::mask(Interrupt::USBCTRL_IRQ);
+        }
     }
 }
 

@@ -71,6 +71,9 @@ impl Serial {
     /// Triggers the interrupt after the main loop has changed the queues.
     pub(super) fn serve_soon(&self) {
         NVIC::pend(self.interrupt);
+        // It may have been masked because there was no room.
+        #[cfg(feature = "rp2")]
+        super::unmask(self.interrupt);
     }
 }
 
