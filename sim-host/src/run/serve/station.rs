@@ -40,7 +40,7 @@ use crate::{
         keeper::Keeper,
         markers,
     },
-    server::Command,
+    server::{self, Command},
 };
 
 /// Maximum wait for an arrival, so that hang-ups and signals are noticed.
@@ -389,9 +389,10 @@ impl Station {
         }
     }
 
-    /// With cameras, what is usual is summed up every minute instead.
+    /// With cameras, what is usual is summed up every minute instead, but for a robot that comes.
     fn level(&self, event: &Event) -> Level {
         match (event.level(), &self.eyes) {
+            _ if matches!(event, Event::Server(server::Event::Joined(..))) => event.level(),
             (Level::Info, Eyes::Cameras(_)) => Level::Debug,
             (level, _) => level,
         }
