@@ -15,6 +15,10 @@ use crate::{
 
 /// What the main loop needs of a board. Nothing here waits, except [`Board::wait`].
 pub trait Board {
+    /// Whether the board stores parameters. The configuration must say the same
+    /// ([`Config::keeps_parameters`](crate::Config::keeps_parameters)).
+    const STORES: bool = false;
+
     /// The time since boot; monotonic.
     fn now(&self) -> Instant;
 
@@ -37,7 +41,7 @@ pub trait Board {
     fn show(&mut self, lit: bool);
 
     /// Stores parameters, which may take seconds, for which the watchdog must wait. Returns whether they are
-    /// stored. A board whose configuration [keeps no parameters](crate::Config::keeps_parameters) is not asked.
+    /// stored. Only a board that [`STORES`](Self::STORES) them is asked.
     fn store(&mut self, _parameters: &[ParameterValue]) -> bool {
         false
     }
@@ -91,7 +95,9 @@ pub fn turn<B: Board, S: DepthSensor, W: Wheels, D: Drive>(
     board.note(now, Entry::Timeout);
     read_others(board, machine, now);
     machine.timeout(now);
-    if let Some(parameters) = machine.poll_store(now) {
+    if B::STORES
+        && let Some(parameters) = machine.poll_store(now)
+    {
         machine.stored(board.store(&parameters));
     }
     for &port in served {

@@ -257,27 +257,31 @@ fn stored_parameters_are_there_at_the_next_start() {
         let get = printed(&folder, &["param", &port, "get", "stored"]);
         assert!(get.starts_with(&format!("stored = {expected} ")), "{get}");
     };
-    is_stored("0");
+    is_stored("no");
     let store = printed(&folder, &["param", &port, "store"]);
-    assert!(store.starts_with("stored: "), "{store}");
-    is_stored("1");
-    assert_eq!(
-        fs::read_to_string(folder.join("robot.parameters")).unwrap(),
-        "mounting-heading = 65081\n"
-    );
+    assert!(store.starts_with("stored: the next boots of robot 7"), "{store}");
+    is_stored("yes");
+    let store = printed(&folder, &["param", &port, "store"]);
+    assert!(store.contains("nothing differs"), "{store}");
+    let file = fs::read_to_string(folder.join("robot.parameters")).unwrap();
+    assert!(file.ends_with("\nmounting-heading = 65081\n"), "{file}");
     printed(&folder, &["param", &port, "set", "hold", "300"]);
     drop(robot);
     // Its next start begins with what was stored.
     let _robot = Beside::start(&folder, &["robot", "robot.toml"]);
     let list = printed(&folder, &["param", &port, "list"]);
     assert!(list.contains("-2.50 degrees") && list.contains(" 1000 ms "), "{list}");
-    is_stored("1");
+    is_stored("yes");
     // A folder in the file's place: it can't be written.
     fs::remove_file(folder.join("robot.parameters")).unwrap();
     fs::create_dir(folder.join("robot.parameters")).unwrap();
     printed(&folder, &["param", &port, "set", "hold", "300"]);
     refused(&folder, &["param", &port, "store"], 1, "has not stored its parameters");
-    is_stored("0");
+    is_stored("no");
+    // As a killed `ubimap sensor` leaves it.
+    printed(&folder, &["param", &port, "set", "gate-distance", "0"]);
+    refused(&folder, &["param", &port, "store"], 1, "gate-distance is 0 mm");
+    refused(&folder, &["param", &port, "set", "stored", "1"], 2, "see ubimap param store");
 }
 
 #[test]

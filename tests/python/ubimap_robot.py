@@ -60,8 +60,10 @@ class Robot:
         # What waits to be sent.
         self.events, self.reports, self.digested, self.told = [STARTED], [], 0, 0
         # What is stored outlives the boot.
-        self.storage = {} if storage is None else storage
-        self.parameters = {number: it[0] for number, it in PARAMETERS.items()} | self.storage
+        self.parameters = {number: it[0] for number, it in PARAMETERS.items()} | (storage or {})
+        self.storage, self.next_boot = storage, dict(self.parameters)
+        if storage is None:
+            del self.parameters[STORED]
         # Moments at which something is due.
         self.next = dict.fromkeys(("time", "state", "vector", "digests", "tiles", "step"), now)
         self.forget_server()
@@ -245,14 +247,16 @@ class Robot:
         return bool(self.room.waypoints) and not self.room.is_stopped
 
     def set_parameter(self, number, value):
-        if number == STORED:
-            self.storage.update({it: self.parameters[it] for it in PARAMETERS if it not in (FIRST_EPOCH, STORED)})
-        if number != FIRST_EPOCH:
-            self.parameters[STORED] = int(number == STORED)
         if number == FIRST_EPOCH and value != self.parameters[number]:
             # All own tiles are given up; they are drawn again in an epoch of their own.
             self.first_epoch, self.own, self.drawn = max(value, self.first_epoch + 1), {}, None
         self.parameters[number] = value % 65_536 if number == 3 else value
+        if self.storage is not None:
+            stored = [it for it in PARAMETERS if it not in (FIRST_EPOCH, STORED)]
+            if number == STORED:
+                self.storage.update({it: self.parameters[it] for it in stored})
+                self.next_boot.update(self.storage)
+            self.parameters[STORED] = int(all(self.parameters[it] == self.next_boot[it] for it in stored))
 
     def take_Stored(self, stored, _, now):
         for place, stamp in stored["tiles"]:

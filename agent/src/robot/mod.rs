@@ -308,7 +308,7 @@ impl<'b, D: Drive> Robot<'b, D> {
     /// The parameters to be stored, while a command of the server to store them waits. The board then
     /// calls [`Robot::stored`]. Only with [`Config::keeps_parameters`].
     pub fn poll_store(&self) -> Option<Vec<ParameterValue, MAX_PARAMETERS>> {
-        parameters::unstored(&self.mapper.settings)
+        parameters::to_store(&self.mapper.settings)
     }
 
     /// Answers the command that waits for the board: whether the parameters of [`Robot::poll_store`] are

@@ -11,7 +11,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres},
 };
 
-use super::{config::Config, settings::Settings};
+use super::{config::Config, settings::Settings, unstored::STORABLE};
 use crate::sense::{Exposure, Removal};
 
 /// The parameters. The value of a variant is the parameter's number on the wire.
@@ -48,8 +48,8 @@ pub enum Parameter {
     /// The minimum and the maximum brightness of a pixel whose depth is valid, in the value's upper
     /// and lower half.
     Exposure = 12,
-    /// 1 if none of the others but the first epoch was set since the robot booted or stored them. Setting it to
-    /// 1 stores them for later boots. Only robots whose board can do that have it.
+    /// 1 if the robot's next boot begins with the present values of the others but the first epoch. Setting it
+    /// to 1 stores them. Only robots whose board can do that have it.
     Stored = 13,
 }
 
@@ -87,7 +87,7 @@ impl Parameter {
     /// Those that a robot has.
     fn of(settings: &Settings) -> &'static [Self] {
         match Self::ALL {
-            [settable @ .., Self::Stored] if !settings.unstored.has_storage() => settable,
+            [settable @ .., Self::Stored] if settings.unstored.stored().is_none() => settable,
             all => all,
         }
     }
@@ -134,10 +134,10 @@ impl Parameter {
         }
     }
 
-    fn value(self, settings: &Settings) -> ParameterValue {
+    fn value(self, settings: &Settings) -> i32 {
         let millis = |span: Duration| (span.micros().min(60_000_000) as u32 / 1_000) as i32;
         let [.., pixels, bearings] = settings.removed;
-        let value = match self {
+        match self {
             Self::MountingX => settings.mounting.x.0,
             Self::MountingY => settings.mounting.y.0,
             Self::MountingHeading => i32::from(settings.mounting.heading.0),
@@ -159,9 +159,8 @@ impl Parameter {
                 value_of(from, to)
             }
             Self::Exposure => value_of(settings.exposure.darkest, settings.exposure.brightest),
-            Self::Stored => settings.unstored.is_empty().into(),
-        };
-        ParameterValue { parameter: self as u16, value }
+            Self::Stored => unstored(settings).is_empty().into(),
+        }
     }
 
     fn set(self, settings: &mut Settings, value: i32) {
@@ -186,26 +185,9 @@ impl Parameter {
             }
             Self::RemovedDistances => settings.validity.removed = (upper, lower),
             Self::Exposure => settings.exposure = Exposure { darkest: upper, brightest: lower },
-            Self::Stored => return,
-        }
-        // The first epoch is the server's business: each boot begins at 0.
-        if self != Self::FirstEpoch {
-            settings.unstored.add(self as u16);
+            Self::Stored => {}
         }
     }
-}
-
-/// The values of some of the parameters.
-fn values<'p>(
-    parameters: impl Iterator<Item = &'p Parameter>,
-    settings: &Settings,
-) -> Vec<ParameterValue, MAX_PARAMETERS> {
-    let mut values = Vec::new();
-    for parameter in parameters {
-        // The number of parameters is checked against the capacity at compile time, below.
-        let _ = values.push(parameter.value(settings));
-    }
-    values
 }
 
 /// The reply to a command: the parameters that are still to be reported.
@@ -230,8 +212,8 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
                 let (least, most) = wanted.range();
                 if !(least..=most).contains(&value) {
                     outcome = ParameterOutcome::OutOfRange;
-                } else if *wanted == Parameter::Stored && !settings.unstored.is_empty() {
-                    settings.unstored.begin(number);
+                } else if *wanted == Parameter::Stored && !unstored(settings).is_empty() {
+                    settings.unstored.wait(number);
                     return None;
                 } else {
                     wanted.set(settings, value);
@@ -246,16 +228,42 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
     Some(Answer { number, outcome, untold: wanted })
 }
 
+/// The values of the parameters up to the one that says whether they are stored.
+// Not inlined, since robots are built in place.
+#[inline(never)]
+pub(super) fn storable(settings: &Settings) -> [i32; STORABLE] {
+    let mut values = [0; STORABLE];
+    for (place, parameter) in values.iter_mut().zip(Parameter::ALL) {
+        *place = parameter.value(settings);
+    }
+    values
+}
+
+/// The parameters whose values are not those with which the next boot begins. The first epoch is the
+/// server's business.
+#[inline(never)]
+fn unstored(settings: &Settings) -> Vec<ParameterValue, MAX_PARAMETERS> {
+    let mut values = Vec::new();
+    let stored = settings.unstored.stored().into_iter().flatten();
+    for (parameter, stored) in Parameter::ALL.iter().zip(stored) {
+        let value = parameter.value(settings);
+        if value != *stored && *parameter != Parameter::FirstEpoch {
+            // There are no more of them than fit.
+            let _ = values.push(ParameterValue { parameter: *parameter as u16, value });
+        }
+    }
+    values
+}
+
 /// The parameters to be stored, while a command waits for that.
-pub(super) fn unstored(settings: &Settings) -> Option<Vec<ParameterValue, MAX_PARAMETERS>> {
-    let Settings { unstored, .. } = settings;
-    let set = Parameter::ALL.iter().filter(|it| unstored.has(**it as u16));
-    unstored.is_waiting().then(|| values(set, settings))
+pub(super) fn to_store(settings: &Settings) -> Option<Vec<ParameterValue, MAX_PARAMETERS>> {
+    settings.unstored.is_waiting().then(|| unstored(settings))
 }
 
 /// The answer to the command that waited until the parameters were stored.
 pub(super) fn finish(settings: &mut Settings, is_stored: bool) -> Option<Answer> {
-    let number = settings.unstored.end(is_stored)?;
+    let stored = is_stored.then(|| storable(settings));
+    let number = settings.unstored.end(stored)?;
     let outcome = if is_stored { ParameterOutcome::Done } else { ParameterOutcome::OutOfRange };
     let untold = Parameter::numbered(Parameter::Stored as u16, Parameter::ALL);
     Some(Answer { number, outcome, untold })
@@ -291,7 +299,12 @@ pub(crate) fn push_report(
 ) -> bool {
     let Some(Answer { number, outcome, untold }) = answer else { return false };
     let told = writer.push_longest(0..=untold.len(), |count| {
-        let values = values(untold.iter().take(count), settings);
+        let mut values = Vec::new();
+        for parameter in untold.iter().take(count) {
+            // The number of parameters is checked against the capacity at compile time, above.
+            let value = parameter.value(settings);
+            let _ = values.push(ParameterValue { parameter: *parameter as u16, value });
+        }
         ParameterReport { number: *number, outcome: *outcome, values }
     });
     let Some(count) = told else { return false };
@@ -331,10 +344,7 @@ mod tests {
                 let answer = carry_out(&set(parameter as u16, value), &mut settings).unwrap();
                 let told = (answer.outcome, answer.untold);
                 assert_eq!(told, (ParameterOutcome::Done, &[parameter][..]));
-                assert_eq!(
-                    parameter.value(&settings),
-                    ParameterValue { parameter: parameter as u16, value }
-                );
+                assert_eq!(parameter.value(&settings), value);
             }
         }
         let list = ParameterCommand { number: 1, action: ParameterAction::List };
@@ -349,7 +359,7 @@ mod tests {
             let value =
                 ParameterValue { parameter: parameter as u16, value: parameter.range().1 / 3 };
             config.set(&[value, ParameterValue { parameter: 99, value: 1 }]);
-            assert_eq!(parameter.value(&Settings::from(&config)), value);
+            assert_eq!(parameter.value(&Settings::from(&config)), value.value);
         }
     }
 
@@ -406,7 +416,7 @@ mod tests {
             let answer = carry_out(&unknown, &mut changed).unwrap();
             assert_eq!((answer.outcome, answer.untold), (ParameterOutcome::Unknown, &[][..]));
         }
-        assert_eq!((changed, unstored(&changed)), (settings(), None));
+        assert_eq!((changed, to_store(&changed)), (settings(), None));
     }
 
     #[test]
@@ -418,7 +428,7 @@ mod tests {
             let get = ParameterCommand { number: 1, action: ParameterAction::Get(13) };
             let answer = carry_out(&get, settings).unwrap();
             assert_eq!((answer.outcome, answer.untold), (ParameterOutcome::Done, &STORED[..]));
-            Parameter::Stored.value(settings).value
+            Parameter::Stored.value(settings)
         };
         let (done, refused) = (ParameterOutcome::Done, ParameterOutcome::OutOfRange);
         let answer = |outcome| Some(Answer { number: 9, outcome, untold: STORED });
@@ -436,15 +446,20 @@ mod tests {
             assert_eq!(carry_out(&set(parameter, value), &mut settings).unwrap().outcome, done);
         }
         assert_eq!(carry_out(&set(13, 0), &mut settings), answer(refused));
-        assert_eq!((stored(&mut settings), unstored(&settings)), (0, None));
+        assert_eq!((stored(&mut settings), to_store(&settings)), (0, None));
         let value = |parameter, value| ParameterValue { parameter, value };
         for is_stored in [false, true] {
             assert_eq!(carry_out(&set(13, 1), &mut settings), None, "it waits");
-            assert_eq!(unstored(&settings).unwrap()[..], [value(1, 130), value(6, 300)]);
+            assert_eq!(to_store(&settings).unwrap()[..], [value(1, 130), value(6, 300)]);
             let outcome = if is_stored { done } else { refused };
             assert_eq!(finish(&mut settings, is_stored), answer(outcome));
             assert_eq!(stored(&mut settings), i32::from(is_stored));
-            assert_eq!((unstored(&settings), finish(&mut settings, true)), (None, None));
+            assert_eq!((to_store(&settings), finish(&mut settings, true)), (None, None));
+        }
+        // Back to what is stored: there is nothing to store.
+        for (value, is_stored) in [(131, 0), (130, 1)] {
+            assert_eq!(carry_out(&set(1, value), &mut settings).unwrap().outcome, done);
+            assert_eq!(stored(&mut settings), is_stored);
         }
     }
 }

@@ -1,43 +1,30 @@
-//! Which parameters a board has not stored.
+//! What a board has not stored of the robot's parameters.
 
-/// The parameters that were set since the robot booted or stored them, if its board can store them.
+/// Number of parameters whose values are compared.
+pub(super) const STORABLE: usize = 12;
+
+/// What a board has stored, if it can store parameters, and whether it is to do so.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Unstored {
-    has_storage: bool,
-    /// Bit `n`: the parameter with number `n` was set.
-    set: u16,
+    /// The values with which the next boot begins.
+    stored: Option<[i32; STORABLE]>,
     /// Number of the command to store that waits for the board.
     command: Option<u16>,
 }
 
 impl Unstored {
-    /// Nothing was set yet.
-    pub(super) fn new(has_storage: bool) -> Self {
-        Self { has_storage, ..Self::default() }
+    /// The next boot begins with these values.
+    pub(super) fn begin(&mut self, values: [i32; STORABLE]) {
+        self.stored = Some(values);
     }
 
-    /// Whether the board can store parameters.
-    pub(super) fn has_storage(&self) -> bool {
-        self.has_storage
-    }
-
-    /// Notes that the parameter with a number below 16 was set.
-    pub(super) fn add(&mut self, number: u16) {
-        self.set |= bit(number);
-    }
-
-    /// Whether the parameter with this number was set.
-    pub(super) fn has(&self, number: u16) -> bool {
-        self.set & bit(number) != 0
-    }
-
-    /// Whether no parameter was set.
-    pub(super) fn is_empty(&self) -> bool {
-        self.set == 0
+    /// The values with which the next boot begins; `None` if the board can't store any.
+    pub(super) fn stored(&self) -> Option<&[i32; STORABLE]> {
+        self.stored.as_ref()
     }
 
     /// Lets a command wait for the board.
-    pub(super) fn begin(&mut self, command: u16) {
+    pub(super) fn wait(&mut self, command: u16) {
         self.command = Some(command);
     }
 
@@ -46,16 +33,10 @@ impl Unstored {
         self.command.is_some()
     }
 
-    /// The board is done. Returns the number of the command.
-    pub(super) fn end(&mut self, is_stored: bool) -> Option<u16> {
+    /// The board has stored these values, or has failed. Returns the number of the command.
+    pub(super) fn end(&mut self, stored: Option<[i32; STORABLE]>) -> Option<u16> {
         let command = self.command.take()?;
-        if is_stored {
-            self.set = 0;
-        }
+        self.stored = stored.or(self.stored);
         Some(command)
     }
-}
-
-fn bit(number: u16) -> u16 {
-    1_u16.wrapping_shl(number.into())
 }

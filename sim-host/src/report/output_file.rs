@@ -26,7 +26,7 @@ impl OutputFile {
         // The file that a symbolic link points to is replaced, not the link.
         let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         if target.is_dir() {
-            return Err(refuse(io::Error::other("is a folder; give a file with --out")));
+            return Err(refuse(io::Error::other("is a folder, and must be a file")));
         }
         let name = target
             .file_name()
@@ -48,10 +48,23 @@ impl OutputFile {
         let written = File::create(&self.partial).and_then(|mut file| {
             file.write_all(bytes)?;
             file.sync_all()?;
-            fs::rename(&self.partial, &self.target)
+            fs::rename(&self.partial, &self.target)?;
+            sync_folder(&self.target)
         });
         written.map_err(|error| OutputError { path: self.target.clone(), error })
     }
+}
+
+/// Makes a new name last through a cut of the power.
+#[cfg(unix)]
+fn sync_folder(file: &Path) -> io::Result<()> {
+    let folder = file.parent().filter(|it| !it.as_os_str().is_empty());
+    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+}
+
+#[cfg(not(unix))]
+fn sync_folder(_: &Path) -> io::Result<()> {
+    Ok(())
 }
 
 impl Drop for OutputFile {

@@ -67,7 +67,8 @@ const ARRIVALS: usize = 64;
 /// Options of `ubimap robot`.
 #[derive(Args, Clone, Debug)]
 pub struct RobotOptions {
-    /// The robot's configuration; `ubimap rig` writes one
+    /// The robot's configuration; `ubimap rig` writes one. Parameters that ubimap param stores are beside it, in a
+    /// file with the ending .parameters
     #[arg(value_name = "TOML")]
     pub config: PathBuf,
 }
@@ -93,7 +94,8 @@ pub struct RobotOptions {
 /// resolution_m = 0.05               # the server's
 /// ```
 ///
-/// What `ubimap param store` has stored is in a file beside it with the ending `.parameters`.
+/// What `ubimap param store` has stored is in a file beside it with the ending `.parameters`, and counts more. To
+/// undo it, delete that file.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotFile {
@@ -251,6 +253,9 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
     let config = file.config(getrandom::u32().map_err(RunError::Randomness)?);
     let mut config = Config { seal, keeps_parameters: true, ..config };
     let stored = Stored::beside(path)?;
+    if let Some(told) = stored.told() {
+        log::info!("{told}");
+    }
     config.set(&stored.values().collect::<Vec<_>>());
     let mut memory = Memory::<Heap, Option<Driving>>::new(&config.bounds);
     let device = |port, path: &Path, baud| {

@@ -88,10 +88,6 @@ impl Peer for RobotPeer {
             let _ = self.robot.scan(now, &readings, now);
         }
         self.robot.timeout(now);
-        // As if it had a flash.
-        if self.robot.poll_store().is_some() {
-            self.robot.stored(true);
-        }
     }
 }
 

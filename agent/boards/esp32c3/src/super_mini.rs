@@ -134,6 +134,8 @@ fn serial(port: Port) -> Option<&'static Serial> {
 }
 
 impl firmware::Board for Board {
+    const STORES: bool = true;
+
     fn now(&self) -> Instant {
         Instant::from_micros(time::Instant::now().duration_since_epoch().as_micros())
     }

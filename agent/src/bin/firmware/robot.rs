@@ -127,6 +127,8 @@ impl Running<'_> {
 }
 
 impl firmware::Board for Running<'_> {
+    const STORES: bool = cfg!(feature = "flash");
+
     fn now(&self) -> Instant {
         self.board.clock.now()
     }

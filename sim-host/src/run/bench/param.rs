@@ -54,10 +54,6 @@ pub enum ParamAction {
     Store,
 }
 
-/// The command to store all parameters.
-const STORE: ParameterAction =
-    ParameterAction::Set(ParameterValue { parameter: Parameter::Stored as u16, value: 1 });
-
 /// A parameter for people and programs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct Shown {
@@ -100,7 +96,7 @@ pub fn run(options: &ParamOptions) -> Result<String, RunError> {
     // Before the port is opened, so that a typing error costs no time.
     let command = match &options.action {
         ParamAction::List { .. } => ParameterAction::List,
-        ParamAction::Store => STORE,
+        ParamAction::Store => ParameterAction::Get(Parameter::Stored as u16),
         ParamAction::Get { name } => ParameterAction::Get(named(name).map_err(usage)? as u16),
         ParamAction::Set { name, value } => {
             let parameter = named(name).map_err(usage)?;
@@ -109,43 +105,62 @@ pub fn run(options: &ParamOptions) -> Result<String, RunError> {
         }
     };
     let mut bench = Bench::open(&options.port)?;
-    bench.wait_for_robot()?;
+    let robot = bench.wait_for_robot()?.0;
+    if matches!(options.action, ParamAction::Store) {
+        return store(&mut bench, robot);
+    }
     let report = bench.parameter(command)?;
     match report.outcome {
-        ParameterOutcome::Done => {}
-        ParameterOutcome::Unknown if command == STORE => {
-            return Ok(in_image(&bench.parameter(ParameterAction::List)?.values));
-        }
-        ParameterOutcome::OutOfRange if command == STORE => {
-            return Err(bench.fault(
-                "the robot has not stored its parameters: its wheels turn (ubimap stop halts them), or its flash \
-                 does not keep what is written; they apply until its next boot",
-            ));
-        }
-        ParameterOutcome::Unknown => return Err(bench.fault("the robot has no such parameter")),
+        ParameterOutcome::Done => Ok(answer(&options.action, robot, &report)),
+        ParameterOutcome::Unknown => Err(bench.fault("the robot has no such parameter")),
         ParameterOutcome::OutOfRange => {
-            return Err(bench.fault("the robot refuses the value: it is out of its range"));
+            Err(bench.fault("the robot refuses the value: it is out of its range"))
         }
     }
-    Ok(answer(&options.action, &report))
 }
 
-fn answer(action: &ParamAction, report: &ParameterReport) -> String {
+fn answer(action: &ParamAction, robot: u16, report: &ParameterReport) -> String {
     let all: Vec<Shown> = report.values.iter().map(Shown::new).collect();
+    let line = |it: &Shown| match action {
+        ParamAction::Set { .. } => {
+            format!(
+                "{}   # of robot {robot}, until its next boot: see ubimap param store\n",
+                it.line()
+            )
+        }
+        _ => format!("{}   # {}; {}\n", it.line(), it.range, it.meaning),
+    };
     match action {
         ParamAction::List { json: true } => json_pretty(&all),
         ParamAction::List { json: false } => table(&all),
-        ParamAction::Get { .. } => {
-            let one = |it: &Shown| format!("{}   # {}; {}\n", it.line(), it.range, it.meaning);
-            all.iter().map(one).collect()
+        _ => all.iter().map(line).collect(),
+    }
+}
+
+/// Lets the robot store its parameters. Returns what to print.
+fn store(bench: &mut Bench, robot: u16) -> Result<String, RunError> {
+    let list = bench.parameter(ParameterAction::List)?;
+    let value =
+        |of: Parameter| list.values.iter().find(|it| it.parameter == of as u16).map(|it| it.value);
+    match value(Parameter::Stored) {
+        None => return Err(bench.fault(in_image(robot, &list.values))),
+        Some(0) => {}
+        Some(_) => return Ok(format!("robot {robot} has stored them: nothing differs\n")),
+    }
+    if value(Parameter::GateDistance) == Some(0) {
+        return Err(bench.fault(
+            "gate-distance is 0 mm, as a killed ubimap sensor or wheels leaves it: set it (35 is usual), then store",
+        ));
+    }
+    let stored = ParameterValue { parameter: Parameter::Stored as u16, value: 1 };
+    match bench.parameter(ParameterAction::Set(stored))?.outcome {
+        ParameterOutcome::Done => {
+            Ok(format!("stored: the next boots of robot {robot} begin with these parameters\n"))
         }
-        ParamAction::Set { .. } => {
-            let one = |it: &Shown| {
-                format!("{}   # until its next boot: see ubimap param store\n", it.line())
-            };
-            all.iter().map(one).collect()
-        }
-        ParamAction::Store => "stored: the robot's next boots begin with these parameters\n".into(),
+        _ => Err(bench.fault(format!(
+            "robot {robot} has not stored its parameters: its wheels turn, or did a second ago; or its flash, or its \
+             computer's folder, can't be written"
+        ))),
     }
 }
 
@@ -161,18 +176,18 @@ fn table(all: &[Shown]) -> String {
     text
 }
 
-/// How to keep the values of a robot that can't store them. Its first epoch is the server's business.
-fn in_image(values: &[ParameterValue]) -> String {
-    let mut text = String::from(
-        "This robot can't store parameters. Put them into its image, built with the feature flash, and flash \
-         that:\n\n    ubimap provision IMAGE --id N",
+/// How to keep the values of a robot that can't store them, in one line. Its first epoch is the server's business.
+fn in_image(robot: u16, values: &[ParameterValue]) -> String {
+    let mut text = format!(
+        "robot {robot} can't store parameters: put them into an image that is built with the feature flash, by ubimap \
+         provision IMAGE --id {robot}"
     );
     for ParameterValue { parameter, value } in values {
         let known = Parameter::ALL.iter().find(|it| **it as u16 == *parameter);
         if let Some(known) = known.filter(|it| **it != Parameter::FirstEpoch) {
             // Writing to a string can't fail.
-            let _ = write!(text, " \\\n        --set {}={value}", known.name());
+            let _ = write!(text, " --set {}={value}", known.name());
         }
     }
-    text + "\n\n(values as on the wire, SPEC section 6)\n"
+    text
 }

@@ -14,6 +14,8 @@ enum Quantity {
     Pair(&'static str, Option<i32>),
     /// Two bearings, counter-clockwise from the first to the second.
     Bearings,
+    /// Whether something is so; it can't be set.
+    Truth,
 }
 
 /// The value that removes no readings by index or bearing.
@@ -26,7 +28,8 @@ fn quantity(parameter: Parameter) -> Quantity {
         }
         Parameter::MountingHeading | Parameter::GateTurn => Quantity::Angle,
         Parameter::Hold | Parameter::ScanDeadline => Quantity::Number("ms"),
-        Parameter::FirstEpoch | Parameter::Stored => Quantity::Number(""),
+        Parameter::FirstEpoch => Quantity::Number(""),
+        Parameter::Stored => Quantity::Truth,
         Parameter::RemovedPixels => Quantity::Pair("", Some(NO_READINGS)),
         Parameter::RemovedBearings => Quantity::Bearings,
         Parameter::RemovedDistances => Quantity::Pair("mm", Some(0)),
@@ -51,9 +54,7 @@ pub fn meaning(parameter: Parameter) -> &'static str {
         Parameter::RemovedBearings => "readings never mapped, by bearing, counter-clockwise",
         Parameter::RemovedDistances => "readings never mapped, by distance",
         Parameter::Exposure => "light in which a depth is valid, darkest..brightest",
-        Parameter::Stored => {
-            "whether the next boot begins with these; ubimap param store sees to it"
-        }
+        Parameter::Stored => "whether the robot's next boot begins with these values",
     }
 }
 
@@ -62,6 +63,7 @@ pub fn unit(parameter: Parameter) -> &'static str {
     match quantity(parameter) {
         Quantity::Number(unit) | Quantity::Pair(unit, _) => unit,
         Quantity::Angle | Quantity::Bearings => "degrees",
+        Quantity::Truth => "",
     }
 }
 
@@ -69,12 +71,12 @@ pub fn unit(parameter: Parameter) -> &'static str {
 pub fn range(parameter: Parameter) -> String {
     let (least, most) = parameter.range();
     match quantity(parameter) {
-        Quantity::Number(_) if least == most => format!("{least} can be set"),
         Quantity::Number(_) => format!("{least} to {most}"),
         Quantity::Angle => format!("{:.0} to {:.0}", degrees(least), degrees(most)),
         Quantity::Pair(_, None) => "A..B, each 0 to 65535".into(),
         Quantity::Pair(..) => "A..B, each 0 to 65535, or none".into(),
         Quantity::Bearings => "A..B, each -360 to 360, or none".into(),
+        Quantity::Truth => "yes or no; ubimap param store makes it yes".into(),
     }
 }
 
@@ -89,6 +91,7 @@ pub fn shown(parameter: Parameter, value: i32) -> String {
         Quantity::Pair(..) => format!("{upper}..{lower}"),
         Quantity::Bearings if value == NO_READINGS => "none".into(),
         Quantity::Bearings => format!("{}..{}", signed(Angle(upper)), signed(Angle(lower))),
+        Quantity::Truth => if value == 0 { "no" } else { "yes" }.into(),
     }
 }
 
@@ -123,6 +126,9 @@ pub fn parsed(parameter: Parameter, text: &str) -> Result<i32, String> {
         Quantity::Bearings if text == "none" => Some(NO_READINGS),
         Quantity::Bearings => {
             halves().and_then(|(from, to)| Some(joined((binary(from)?, binary(to)?))))
+        }
+        Quantity::Truth => {
+            return Err(format!("{} can't be set: see ubimap param store", parameter.name()));
         }
     };
     value.ok_or_else(expected)
@@ -178,6 +184,11 @@ mod tests {
     #[test]
     fn every_value_is_read_as_it_is_shown() {
         for &parameter in Parameter::ALL {
+            if parameter == Parameter::Stored {
+                assert_eq!([0, 1].map(|value| shown(parameter, value)), ["no", "yes"]);
+                assert!(parsed(parameter, "yes").unwrap_err().contains("param store"));
+                continue;
+            }
             let (least, most) = parameter.range();
             for value in [least, most, most / 3, least / 7, 0, NO_READINGS, 0x0012_0345] {
                 if !(least..=most).contains(&value) {

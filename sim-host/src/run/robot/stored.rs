@@ -15,6 +15,9 @@ use crate::{
     run::{RunError, bench::quantity::on_wire},
 };
 
+/// The first line of the file.
+const HEAD: &str = "# stored by ubimap param; values as on the wire, SPEC section 6\n";
+
 /// Parameters by name, with their values on the wire.
 #[derive(Debug)]
 pub(super) struct Stored {
@@ -44,6 +47,13 @@ impl Stored {
         Ok(Self { path, values })
     }
 
+    /// What was stored, in a line; `None` if nothing was.
+    pub(super) fn told(&self) -> Option<String> {
+        let values = self.values.iter().map(|(name, value)| format!("{name} = {value}"));
+        let values = values.collect::<Vec<_>>().join(", ");
+        (!values.is_empty()).then(|| format!("stored in {}: {values}", self.path.display()))
+    }
+
     /// The parameters.
     pub(super) fn values(&self) -> impl Iterator<Item = ParameterValue> {
         self.values.iter().filter_map(|(name, value)| on_wire(name, &value.to_string()).ok())
@@ -61,7 +71,7 @@ impl Stored {
             values.extend(known.map(|it| (it.name().to_owned(), value)));
         }
         // Numbers by names: serialising them can't fail.
-        let text = toml::to_string(&values).unwrap_or_default();
+        let text = HEAD.to_owned() + &toml::to_string(&values).unwrap_or_default();
         OutputFile::create(&self.path)?.finish(text.as_bytes())?;
         self.values = values;
         Ok(())
