@@ -187,6 +187,14 @@ fn ports_tells_robots_other_devices_silence_and_unusable_ports_apart() {
         assert!(lines[line].contains(told), "{text}");
     }
     is_over.store(true, Ordering::Relaxed);
+    // A robot that comes by UDP.
+    let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let file =
+        format!("id = 9\nserver = \"udp:{free}\"\nsensor = \"none-1\"\nwheels = \"none-2\"\n");
+    fs::write(folder.join("robot-9.toml"), file).unwrap();
+    let _robot_9 = Beside::start(&folder, &["robot", "robot-9.toml"]);
+    let text = printed(&folder, &["ports", &format!("udp:{free}")]);
+    assert!(text.contains("robot 9, protocol version 1"), "{text}");
     let report: Value =
         serde_json::from_str(&printed(&folder, &["ports", &port, "--json"])).unwrap();
     let robot = &report["ports"][0]["heard"]["robot"];

@@ -13,11 +13,15 @@ use ubimap_protocol::{
     units::RobotId,
 };
 
-use super::overheard::{Ear, Overheard};
+use super::{
+    opening::wire,
+    options::PortOptions,
+    overheard::{Ear, Overheard},
+};
 use crate::{
     channel::{
-        serial::{self, ListedPort, SerialPort},
-        wire::WireError,
+        address::NotAnAddress,
+        serial::{self, ListedPort},
     },
     conformance::{Frame, Note},
     run::{RunError, interruption},
@@ -32,7 +36,8 @@ const READ: Duration = Duration::from_millis(50);
 /// Options of `ubimap ports`.
 #[derive(Args, Clone, Debug)]
 pub struct PortsOptions {
-    /// Serial ports to listen at, instead of all that the system lists; pseudo-terminals must be named
+    /// Where to listen, instead of all serial ports that the system lists: pseudo-terminals must be named, and
+    /// udp:0.0.0.0:4000 is for the first robot that comes there
     #[arg(value_name = "PORT")]
     pub ports: Vec<String>,
 
@@ -147,13 +152,15 @@ fn listen(path: &str, baud: u32) -> Heard {
     })
 }
 
-fn attend(path: &str, baud: u32) -> Result<Heard, WireError> {
-    let mut port = SerialPort::open(path, baud)?;
+fn attend(path: &str, baud: u32) -> Result<Heard, RunError> {
+    let refuse = |reason: String| RunError::Bench { port: path.to_owned(), reason };
+    let port = path.parse().map_err(|error: NotAnAddress| refuse(error.to_string()))?;
+    let mut port = wire(&PortOptions { port, baud, keys: None })?;
     let (mut ear, mut session, mut sealed) = (Ear::default(), false, None);
     let mut buffer = [0; 1_024];
     let began = Instant::now();
     while began.elapsed() < LISTEN && !interruption::is_requested() {
-        let count = port.read_within(&mut buffer, READ)?;
+        let count = port.reader.read_within(&mut buffer, READ)?;
         for overheard in ear.hear(&buffer[..count]) {
             match overheard {
                 Overheard::Hello(hello) => return Ok(greeting(&hello)),
@@ -164,7 +171,7 @@ fn attend(path: &str, baud: u32) -> Result<Heard, WireError> {
                 // that it is a robot is sent nothing: it may be anything.
                 Overheard::Session => {
                     session = true;
-                    port.write(&reset())?;
+                    port.writer.write(&reset())?;
                 }
                 Overheard::SealedSession(robot) if sealed == Some(robot) => {
                     return Ok(Heard::SealedSession { robot: robot.0 });
