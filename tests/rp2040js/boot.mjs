@@ -2,6 +2,9 @@
 // connects its USB to a TCP port of this computer.
 //
 //     node boot.mjs FLASH SECONDS [WRITE [PORT]] < IMAGE.uf2
+//     node boot.mjs FLASH SECONDS none -
+//
+// In the second form USB is standard input and output, and the image is that of the boot before.
 //
 // FLASH is a file with the content of the flash, empty at first: the image is flashed over it, as a UF2 file is, and it is
 // kept for the next boot. The power is cut in the middle of the write with number WRITE, from 0 on, if there is one, after
@@ -41,7 +44,7 @@ function fail(message) {
 chip.loadBootrom(rom());
 chip.flash.set(fs.readFileSync(path));
 const blocks = [];
-const image = fs.readFileSync(0);
+const image = port === '-' ? Buffer.alloc(0) : fs.readFileSync(0);
 for (let at = 0; at < image.length; at += 512) {
   blocks.push([image.readUInt32LE(at + 12) - FLASH, image.subarray(at + 32, at + 32 + PAGE)]);
 }
@@ -146,11 +149,10 @@ let isPlugged = false;
 const said = [];
 let say = (bytes) => said.push(...bytes);
 if (port) {
-  const socket = await connected();
-  say = (bytes) => socket.write(bytes);
-  socket.on('data', (bytes) => heard.push(...bytes));
-  socket.on('close', () => (hasPower = false));
-  socket.on('error', () => (hasPower = false));
+  const [input, output] = port === '-' ? [process.stdin, process.stdout] : Array(2).fill(await connected());
+  say = (bytes) => output.write(bytes);
+  input.on('data', (bytes) => heard.push(...bytes));
+  for (const end of ['close', 'end', 'error']) input.on(end, () => (hasPower = false));
 }
 
 // Whoever listens at the port may not do so yet.
@@ -215,7 +217,8 @@ while (hasPower && clock.nanos < seconds * 1e9) {
   if (port && clock.nanos > looked + 1e6) {
     looked = clock.nanos;
     hear();
-    await new Promise((done) => setTimeout(done, looked / 1e6 - (performance.now() - began)));
+    const ahead = looked / 1e6 - (performance.now() - began);
+    await new Promise((done) => (ahead > 1 ? setTimeout(done, ahead) : setImmediate(done)));
   }
   // As in rp2040js itself, but a pending SysTick wakes the core as well, and exceptions begin at even addresses.
   if (core.waiting) {

@@ -368,9 +368,24 @@ pub fn provisionable_firmware(folder: &Path) -> Result<PathBuf, EmulatorError> {
     copied(built("firmware", Core::M4, "flash")?, folder)
 }
 
-/// The firmware for the Raspberry Pi Pico (`M0`) or Pico 2 (`M33`), which no emulator here runs.
+/// The firmware for the Raspberry Pi Pico (`M0`), for [`rp2040js`], or Pico 2 (`M33`), which no emulator here runs.
 pub fn pico_firmware(core: Core) -> Result<PathBuf, EmulatorError> {
     built("firmware", core, if core == Core::M0 { "pico" } else { "pico2" })
+}
+
+/// The script that boots the image of a Pico in rp2040js.
+///
+/// # Errors
+/// [`EmulatorError::Missing`]: Node.js or rp2040js is not installed.
+pub fn rp2040js() -> Result<PathBuf, EmulatorError> {
+    let folder = workspace().join("tests/rp2040js");
+    if !folder.join("node_modules").is_dir() {
+        return Err(EmulatorError::Missing("rp2040js (npm ci --prefix tests/rp2040js)"));
+    }
+    match Command::new("node").arg("--version").output() {
+        Ok(_) => Ok(folder.join("boot.mjs")),
+        Err(_) => Err(EmulatorError::Missing("node")),
+    }
 }
 
 fn built(name: &str, core: Core, features: &str) -> Result<PathBuf, EmulatorError> {

@@ -1,7 +1,12 @@
 //! The conformance runner: our agent and our server pass it, and each of some broken ones fails the
 //! check that its fault is about.
 
-use std::{process, time};
+use std::{
+    env,
+    fs::{self, File},
+    path::Path,
+    process, time,
+};
 
 use clap::Parser;
 
@@ -18,12 +23,15 @@ use ubimap_sim_host::conformance::{
     Bench, CheckResult, ConformanceReport, Frame, Keys, Note, Role, Verdict, checks, payload, run,
     unstuffed,
 };
-use ubimap_sim_host::run::conformance::{self, options::ConformanceOptions};
+use ubimap_sim_host::run::{
+    conformance::{self, options::ConformanceOptions},
+    provision::{self, ProvisionOptions},
+};
 use ubimap_tests::conformance::{
     Context, Gate, Hooks, KEY, Leak, Peer, Reaction, RobotPeer, ServerPeer, Spoiled, VirtualBench,
     edit, without,
 };
-use ubimap_tests::emulator::{Emulator, firmware, leave_out};
+use ubimap_tests::emulator::{Core, Emulator, firmware, leave_out, pico_firmware, rp2040js};
 
 /// A robot or a server with one fault, and the check that must find it.
 struct Mutant {
@@ -626,6 +634,12 @@ struct CommandLine {
     options: ConformanceOptions,
 }
 
+#[derive(clap::Parser)]
+struct Provision {
+    #[command(flatten)]
+    options: ProvisionOptions,
+}
+
 /// Takes seven minutes.
 #[test]
 #[ignore = "takes minutes of real time: cargo conforming"]
@@ -648,23 +662,51 @@ fn our_image_passes_in_the_emulator() {
         Err(error) => return leave_out("the conformance of the firmware", &error),
     };
     let port = emulator.ports()[0].display().to_string();
-    let of_tiles = [
-        "robot-tiles",
-        "first-epoch",
-        "another-server",
-        "one-update-in-flight",
-        "tile-requested",
-        "all-tiles-requested",
-        "robot-digests",
-        "base-missing",
-        "digest-differs",
-        "tile-in-parts",
-        "tile-outside-window",
-        "parameter-stored",
-        "clock",
-        "clock-of-another-server",
-        "interest",
-    ];
-    let may_skip = [&of_tiles[..], &SEALED].concat();
+    let may_skip = [&OF_TILES[..], &SEALED, &["parameter-stored"]].concat();
     must_pass_outside(&["--serial", &port, "--slack", "200"], &may_skip);
 }
+
+/// Takes seven minutes, in which it needs most of a processor. As the other image it maps nothing.
+#[test]
+#[ignore = "runs an image in an emulator: cargo conforming"]
+fn our_image_for_a_pico_passes_in_its_emulator() {
+    // `.ci/run` says so.
+    if env::var_os("UBIMAP_NO_RP2040JS").is_some() {
+        return;
+    }
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("conforming-pico");
+    fs::create_dir_all(&folder).unwrap();
+    let [image, flash] = ["7.uf2", "flash"].map(|name| folder.join(name));
+    let (script, elf) = match rp2040js().and_then(|it| Ok((it, pico_firmware(Core::M0)?))) {
+        Ok(found) => found,
+        Err(error) => return leave_out("the conformance of a Pico's image", &error),
+    };
+    let [elf, uf2] = [&elf, &image].map(|path| path.to_str().unwrap());
+    let line = ["provision", elf, "--id", "7", "--out", uf2];
+    provision::run(&Provision::parse_from(line).options).unwrap();
+    // A boot that flashes it.
+    fs::write(&flash, []).unwrap();
+    let mut node = process::Command::new("node");
+    node.arg(&script).arg(&flash).arg("0.01").stdin(File::open(&image).unwrap());
+    assert!(node.status().unwrap().success());
+    let command = format!("node {} {} 36000 none -", script.display(), flash.display());
+    must_pass_outside(&["--exec", &command, "--slack", "300"], &[&OF_TILES[..], &SEALED].concat());
+}
+
+/// What a robot without a sensor can't show.
+const OF_TILES: [&str; 14] = [
+    "robot-tiles",
+    "first-epoch",
+    "another-server",
+    "one-update-in-flight",
+    "tile-requested",
+    "all-tiles-requested",
+    "robot-digests",
+    "base-missing",
+    "digest-differs",
+    "tile-in-parts",
+    "tile-outside-window",
+    "clock",
+    "clock-of-another-server",
+    "interest",
+];

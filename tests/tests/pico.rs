@@ -6,7 +6,7 @@
 use std::{
     env,
     fs::{self, File},
-    io::{self, Read, Write},
+    io::{Read, Write},
     net::TcpListener,
     path::{Path, PathBuf},
     process::{Child, Command, Output, Stdio},
@@ -24,7 +24,7 @@ use ubimap_sim_host::run::{
     bench::{options::PortOptions, session::Bench},
     provision::{self, ProvisionOptions},
 };
-use ubimap_tests::emulator::{Core, EmulatorError, leave_out, pico_firmware};
+use ubimap_tests::emulator::{Core, EmulatorError, leave_out, pico_firmware, rp2040js};
 
 #[derive(Parser)]
 struct CommandLine {
@@ -119,6 +119,8 @@ struct Said {
 }
 
 struct Pico {
+    /// The emulator's.
+    script: PathBuf,
     folder: PathBuf,
     /// The content of its flash.
     flash: PathBuf,
@@ -131,19 +133,12 @@ struct Pico {
 impl Pico {
     /// A Pico with erased flash.
     fn new(folder: &Path) -> Result<Self, EmulatorError> {
-        let emulator = Path::new(env!("CARGO_MANIFEST_DIR")).join("rp2040js");
-        if !emulator.join("node_modules").is_dir() {
-            return Err(EmulatorError::Missing("rp2040js (npm ci --prefix tests/rp2040js)"));
-        }
-        if let Err(error) = Command::new("node").arg("--version").output() {
-            assert_eq!(error.kind(), io::ErrorKind::NotFound, "node: {error}");
-            return Err(EmulatorError::Missing("node"));
-        }
+        let script = rp2040js()?;
         let [image, flash, update] = ["image", "flash", "update.uf2"].map(|it| folder.join(it));
         // Another test builds images with other features at the same place.
         fs::copy(pico_firmware(Core::M0)?, &image).unwrap();
         fs::write(&flash, []).unwrap();
-        let pico = Self { folder: folder.to_owned(), flash, image, update };
+        let pico = Self { script, folder: folder.to_owned(), flash, image, update };
         let [image, update] = [&pico.image, &pico.update].map(|it| it.to_str().unwrap());
         provision(&[image, "--out", update]);
         Ok(pico)
@@ -232,9 +227,8 @@ impl Pico {
 
     /// The emulator with an image and its other arguments.
     fn node(&self, image: &Path, arguments: &[&str]) -> Command {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("rp2040js/boot.mjs");
         let mut node = Command::new("node");
-        node.arg(script).arg(&self.flash).args(arguments).stdin(File::open(image).unwrap());
+        node.arg(&self.script).arg(&self.flash).args(arguments).stdin(File::open(image).unwrap());
         node
     }
 }
