@@ -42,7 +42,7 @@ impl<'b> Mapper<'b> {
         own: &'b mut [OwnTile],
         fused: &'b mut [FusedTile],
     ) -> Self {
-        let settings = Settings::from(config);
+        let settings = config.settings();
         point_beams(beams, &settings);
         let Config { pose_source, odometry_noise, uncertainty_limit, .. } = config;
         Self {

@@ -272,6 +272,15 @@ pub(super) fn finish(settings: &mut Settings, is_stored: bool) -> Option<Answer>
 const _: () = assert!(Parameter::ALL.len() <= MAX_PARAMETERS);
 
 impl<D> Config<D> {
+    /// The settings of a robot that has booted.
+    pub(super) fn settings(&self) -> Settings {
+        let mut settings = Settings::from(self);
+        if self.keeps_parameters {
+            settings.unstored.begin(storable(&settings));
+        }
+        settings
+    }
+
     /// Sets parameters before the robot is made. Unknown ones and values out of range are skipped.
     pub fn set(&mut self, values: &[ParameterValue]) {
         let mut settings = Settings::from(&*self);
@@ -423,7 +432,7 @@ mod tests {
     fn what_was_set_is_stored_once() {
         let sensor = SensorModel::Radial { first: 0.0, step: 0.1 };
         let config = Config::new(RobotId(1), sensor, Bounds::SMALL);
-        let mut settings = Settings::from(&Config { keeps_parameters: true, ..config });
+        let mut settings = Config { keeps_parameters: true, ..config }.settings();
         let stored = |settings: &mut Settings| {
             let get = ParameterCommand { number: 1, action: ParameterAction::Get(13) };
             let answer = carry_out(&get, settings).unwrap();

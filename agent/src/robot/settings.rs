@@ -8,7 +8,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose, RobotId},
 };
 
-use super::{config::Config, parameters::storable, unstored::Unstored};
+use super::{config::Config, unstored::Unstored};
 use crate::{
     map::{Gate, MappingConfig, PeerMask, Policy},
     sense::{Exposure, Removal, SensorModel, Validity},
@@ -56,7 +56,7 @@ pub struct Settings {
 
 impl<D> From<&Config<D>> for Settings {
     fn from(config: &Config<D>) -> Self {
-        let mut settings = Self {
+        Self {
             robot: config.robot,
             resolution: config.bounds.resolution,
             max_range: config.bounds.max_range,
@@ -73,11 +73,7 @@ impl<D> From<&Config<D>> for Settings {
             hold: config.hold,
             first_epoch: config.first_epoch,
             unstored: Unstored::default(),
-        };
-        if config.keeps_parameters {
-            settings.unstored.begin(storable(&settings));
         }
-        settings
     }
 }
 
