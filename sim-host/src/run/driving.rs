@@ -7,11 +7,13 @@ use ubimap_agent::drive::{DriveCommand, Driving, Gaze, Motion, SafetyLimits};
 use ubimap_protocol::{
     tile::{Cell as MapCell, TILE_SIDE, TileId},
     time::{Duration, Instant},
+    units::Millimetres,
 };
 
 use super::{fleet::Fleet, options::MotionName};
 use crate::{
     camera::FrameSource,
+    grid::OccupancyGrid,
     mapping::ServedLayer,
     report::DrivingSummary,
     server::coordination::Settings,
@@ -76,7 +78,9 @@ pub(super) fn wheels(command: DriveCommand) -> (f64, f64) {
     (f64::from(command.speed) / 1_000.0, f64::from(command.turn) / 1_000.0)
 }
 
-/// The ground that a robot can reach but no camera sees, and when it was mapped.
+/// The ground that a robot can reach but no camera sees, and when it was mapped. On a floor plan, only
+/// ground that the plan knows as free: robots may fit through a gap of its walls, but what lies beyond is
+/// nobody's task.
 pub(super) struct BlindGround {
     cells: Vec<(i32, i32)>,
     next: Cell<Instant>,
@@ -84,14 +88,20 @@ pub(super) struct BlindGround {
 }
 
 impl BlindGround {
-    pub(super) fn of(world: &World) -> Self {
+    /// `side` is that of the world's cells.
+    pub(super) fn of(world: &World, plan: Option<&OccupancyGrid>, side: Millimetres) -> Self {
+        let side = side.metres();
         let mut covered: Vec<(i32, i32)> = (0..FrameSource::cameras(world).len())
             .flat_map(|camera| world.covered(camera))
             .collect();
         covered.sort_unstable();
         let radius = world.robots().iter().map(SimRobot::radius_m).fold(0.0, f64::max);
         let mut cells = world.reachable(radius, ROOM_M);
-        cells.retain(|cell| covered.binary_search(cell).is_err());
+        cells.retain(|&(x, y)| {
+            let corner = [f64::from(x) * side, f64::from(y) * side];
+            let is_free = plan.is_none_or(|plan| plan.square(corner, side) == MapCell::Free);
+            is_free && covered.binary_search(&(x, y)).is_err()
+        });
         Self { cells, next: Cell::new(Instant(0)), mapped: Cell::new(None) }
     }
 
@@ -129,5 +139,47 @@ impl BlindGround {
             blind_mapped: self.known(fleet.server().fused()),
             mapped_s: self.mapped.get().map(|it| it.micros() as f64 / 1e6),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::{Scenario, WallGrid};
+
+    /// A room of 7.8 x 3.8 m with a gap of a metre in its northern wall, in a plan that knows nothing beyond
+    /// its walls.
+    #[test]
+    fn what_a_plan_does_not_know_is_no_ground_to_be_mapped() {
+        let (width, height, north) = (160, 140, 79);
+        let mut plan = OccupancyGrid::new(0.05, [-1.0, 2.0], width, height).unwrap();
+        for (column, row) in (0..=north).flat_map(|row| (0..width).map(move |x| (x, row))) {
+            let is_edge = [0, 1, width - 2, width - 1].contains(&column) || [0, 1].contains(&row);
+            let is_gap = (60..80).contains(&column);
+            let is_wall = is_edge || row + 1 >= north && !is_gap;
+            plan.set(column, row, if is_wall { MapCell::Occupied } else { MapCell::Free });
+        }
+        let walls = WallGrid {
+            resolution_m: 0.05,
+            origin_m: plan.origin_m(),
+            width,
+            height,
+            occupied: plan.cells().iter().map(|cell| *cell == MapCell::Occupied).collect(),
+        };
+        let free: Vec<bool> = plan.cells().iter().map(|cell| *cell == MapCell::Free).collect();
+        let mut scenario =
+            Scenario::read_with("office".as_ref(), Some("office.yaml".as_ref())).unwrap();
+        let grow = scenario.grow.as_mut().unwrap();
+        (grow.robots, grow.cameras, grow.people) = (2, 0, 0);
+        scenario.grow_in(&walls, &free).unwrap();
+        let side = Millimetres(50);
+        let world = World::new(&scenario, Some(&walls), side, 1).unwrap();
+        let m2 = |ground: &BlindGround| ground.cells.len() as f64 * 0.05 * 0.05;
+        let (all, inside) =
+            (BlindGround::of(&world, None, side), BlindGround::of(&world, Some(&plan), side));
+        assert!(m2(&all) > 50.0, "the robots fit through the gap: {}", m2(&all));
+        // Robots keep off the walls, and round ones out of the corners.
+        let room = 7.8 * 3.8;
+        assert!((room - 3.0..room).contains(&m2(&inside)), "{}", m2(&inside));
     }
 }

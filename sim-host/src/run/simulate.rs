@@ -58,7 +58,7 @@ pub const RESOLUTION: Millimetres = Millimetres(50);
 /// Runs a scenario.
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
-    let Furnished { scenario, walls, world } = furnished(options)?;
+    let Furnished { scenario, plan, walls, world } = furnished(options)?;
     let mut options = options.clone();
     // Without fixed cameras the server knows no robot's pose, and leads none.
     options.scripted |= FrameSource::cameras(&world).is_empty();
@@ -115,7 +115,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         .duration
         .unwrap_or(Duration::from_micros((scenario.duration_s * 1e6).round() as u64));
     let end = Instant(0) + duration;
-    let ground = BlindGround::of(&world);
+    let ground = BlindGround::of(&world, plan.as_ref(), RESOLUTION);
     let map_age = MapAge::of(&scenario, walls.as_ref(), RESOLUTION)?;
     let risings = Risings::of(&scenario, &world, RESOLUTION.metres());
     let mut stage = if options.ideal_cameras {
@@ -192,24 +192,25 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     Ok(Outcome { report, map, markers, caption, pictures, tables })
 }
 
-/// The requested scenario, the walls of its map, if it has one, and its world.
+/// The requested scenario, its map and the map's walls, if it has one, and its world.
 struct Furnished {
     scenario: Scenario,
+    plan: Option<OccupancyGrid>,
     walls: Option<WallGrid>,
     world: World,
 }
 
 fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
     let mut scenario = Scenario::read_with(&options.scenario, options.map.as_deref())?;
-    let map = scenario.room.map.as_deref().map(straight_map).transpose()?;
-    let walls = map.as_ref().map(wall_grid);
-    if let (Some(map), Some(walls)) = (&map, &walls) {
-        log::info!("{}", read_of(&scenario, map));
+    let plan = scenario.room.map.as_deref().map(straight_map).transpose()?;
+    let walls = plan.as_ref().map(wall_grid);
+    if let (Some(plan), Some(walls)) = (&plan, &walls) {
+        log::info!("{}", read_of(&scenario, plan));
         // What grows can be any number of robots.
         if let (Some(grow), Some(robots)) = (&mut scenario.grow, options.robots) {
             grow.robots = robots.try_into().unwrap_or(u8::MAX);
         }
-        let free: Vec<bool> = map.cells().iter().map(|&cell| cell == Cell::Free).collect();
+        let free: Vec<bool> = plan.cells().iter().map(|&cell| cell == Cell::Free).collect();
         scenario.grow_in(walls, &free)?;
     }
     if let Some(robots) = options.robots {
@@ -245,7 +246,7 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
         }
     }
     let world = World::new(&scenario, walls.as_ref(), RESOLUTION, options.run.seed)?;
-    Ok(Furnished { scenario, walls, world })
+    Ok(Furnished { scenario, plan, walls, world })
 }
 
 /// The accuracy of the robots' grey cameras, which are calibrated before the run; `None` without them.
