@@ -9,7 +9,8 @@
 //!
 //! Where the map is unknown, the surfaces that the robot itself has recently seen (its trail) are
 //! used instead: each pose is found relative to earlier ones, and errors grow with the number of
-//! new surfaces instead of with the distance driven.
+//! new surfaces instead of with the distance driven. Against these alone a robot is followed from view to
+//! view: its odometry is good for a second, so nothing is searched, and few points help.
 
 mod geometry;
 mod points;
@@ -25,7 +26,7 @@ use ubimap_protocol::{
 };
 
 use geometry::{position, rotated};
-use refinement::{CELL_DEVIATION, CELL_DEVIATION_MM, Hold, refine};
+use refinement::{CELL_DEVIATION, CELL_DEVIATION_MM, Hold, Refined, refine};
 use search::{candidates, rivals};
 
 pub use {
@@ -37,6 +38,8 @@ pub use {
 
 /// Minimum number of points on surfaces in a match.
 const MIN_POINTS: usize = 14;
+/// The same while a robot is followed.
+const MIN_FOLLOWED: usize = 5;
 /// Minimum percentage of points on surfaces, among the points in known ground.
 const MIN_SHARE: usize = 60;
 /// The same in an unknown heading or after an unknown time, among all points.
@@ -69,6 +72,26 @@ impl Match {
     pub fn deviations(&self) -> [f64; 3] {
         [0, 1, 2].map(|axis| self.covariance[(axis, axis)].sqrt())
     }
+
+    /// Whether the surfaces determine the heading well enough for a robot to use it: to 2 degrees.
+    pub fn is_sure(&self) -> bool {
+        self.covariance[(2, 2)] <= HEADING_LIMIT * HEADING_LIMIT
+    }
+
+    /// `None` if the surfaces do not constrain the pose at all.
+    fn of(refined: &Refined) -> Option<Self> {
+        let deviation = refined.square.max(CELL_DEVIATION_MM * CELL_DEVIATION_MM) * CORRELATION;
+        // The small term keeps the matrix invertible; it is negligible for millimetres and radians.
+        let inverse = (refined.information + Matrix3::identity() * 1e-9).try_inverse()?;
+        let floor = Vector3::new(CELL_DEVIATION_MM, CELL_DEVIATION_MM, CELL_DEVIATION);
+        let covariance = inverse * deviation + Matrix3::from_diagonal(&floor.component_mul(&floor));
+        let pose = Pose {
+            x: Millimetres(libm::round(refined.at.x) as i32),
+            y: Millimetres(libm::round(refined.at.y) as i32),
+            heading: Angle::from_radians(refined.heading),
+        };
+        Some(Self { pose, covariance })
+    }
 }
 
 impl Surfaces {
@@ -87,37 +110,39 @@ impl Surfaces {
             return None;
         }
 
+        if !self.fits(&points, &refined, MIN_POINTS) {
+            return None;
+        }
+        let found = Match::of(&refined).filter(Match::is_sure)?;
+        let rivals = rivals(&candidates, &best);
+        let ambiguous = rivals.iter().any(|rival| {
+            let (at, heading) = rival.pose(self, start, predicted.heading);
+            let other = refine(self, &points, at, heading, hold);
+            other.is_some_and(|other| other.is_elsewhere_and_as_good(&refined, &found.covariance))
+        });
+        (!ambiguous).then_some(found)
+    }
+
+    /// Follows a robot to the most likely pose near the predicted one, from which the points (from [`points`])
+    /// were seen: no other place is tried. Where the surfaces do not constrain it, the pose is the predicted
+    /// one, and the covariance huge. `None` if too few points lie on surfaces, or the best pose is beyond the
+    /// search range. Cost: below 1 ms.
+    pub fn follow(&self, points: &[[f64; 2]], predicted: Pose, search: Search) -> Option<Match> {
+        let points: Vec<Vector2<f64>> = points.iter().map(|&[x, y]| Vector2::new(x, y)).collect();
+        let (start, heading) = (position(predicted), predicted.heading.radians());
+        let refined = refine(self, &points, start, heading, Hold::new(&search, predicted))?;
+        let is_near = search.covers(self.resolution(), predicted, refined.at, refined.heading);
+        (is_near && self.fits(&points, &refined, MIN_FOLLOWED)).then(|| Match::of(&refined))?
+    }
+
+    /// Whether at least `least` points lie on surfaces, and most of those in known ground.
+    fn fits(&self, points: &[Vector2<f64>], refined: &Refined, least: usize) -> bool {
         let known = points.iter().filter(|point| {
             let arm = rotated(**point, refined.heading);
             let seen = refined.at + arm;
             self.code(self.cell(seen)) == Cell::Free || self.seen_along(arm, seen).is_some()
         });
-        if refined.points < MIN_POINTS || 100 * refined.points < MIN_SHARE * known.count() {
-            return None;
-        }
-        let deviation = refined.square.max(CELL_DEVIATION_MM * CELL_DEVIATION_MM) * CORRELATION;
-        // The small term keeps the matrix invertible; it is negligible for millimetres and radians.
-        let inverse = (refined.information + Matrix3::identity() * 1e-9).try_inverse()?;
-        let floor = Vector3::new(CELL_DEVIATION_MM, CELL_DEVIATION_MM, CELL_DEVIATION);
-        let covariance = inverse * deviation + Matrix3::from_diagonal(&floor.component_mul(&floor));
-        if covariance[(2, 2)] > HEADING_LIMIT * HEADING_LIMIT {
-            return None;
-        }
-        let rivals = rivals(&candidates, &best);
-        let ambiguous = rivals.iter().any(|rival| {
-            let (at, heading) = rival.pose(self, start, predicted.heading);
-            let other = refine(self, &points, at, heading, hold);
-            other.is_some_and(|other| other.is_elsewhere_and_as_good(&refined, &covariance))
-        });
-        if ambiguous {
-            return None;
-        }
-        let pose = Pose {
-            x: Millimetres(libm::round(refined.at.x) as i32),
-            y: Millimetres(libm::round(refined.at.y) as i32),
-            heading: Angle::from_radians(refined.heading),
-        };
-        Some(Match { pose, covariance })
+        refined.points >= least && 100 * refined.points >= MIN_SHARE * known.count()
     }
 
     /// Finds the pose within 0.8 m of a place, in any heading, from which the points were seen. As many poses
