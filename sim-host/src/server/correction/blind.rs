@@ -1,15 +1,25 @@
 //! Localises a robot in blind ground (out of the cameras' view) by its distance vectors.
+//!
+//! The robot is followed from view to view by its odometry and by the surfaces that it has seen on its trip: over
+//! a second both are good, so that nothing has to be searched, and few points help. Its [`Drift`] from the map that all
+//! robots draw is corrected by matches with that.
 
 use ubimap_protocol::{
     message::DistanceVector,
+    tile::Tile,
     time::Duration,
     units::{Angle, Millimetres, Pose, RobotId},
 };
 
+use super::{
+    booted::Booted,
+    drift::{Corrected, Drift},
+    odometry::{Reported, TurnScale, Variances},
+};
 use crate::{
     mapping::{
         Match, Prior, Search, Surfaces, Trail,
-        submaps::{Motion, motion},
+        submaps::{self, Motion, motion},
     },
     server::{shared_map::SharedMap, surroundings::Place},
 };
@@ -23,21 +33,24 @@ const STRAYS: (f64, f64) = (20.0, 0.0175);
 /// Maximum distance in metres that a robot is assumed to have driven, at 1 m/s, before its first
 /// report from blind ground.
 const UNHEARD_M: f64 = 6.0;
-
-/// Distance and angle (5 degrees) within which two views of a robot that has booted lead to one place.
-const SAME: (Millimetres, Angle) = (Millimetres(150), Angle(910));
-
-/// Two views from poses that differ by less than this distance and this angle (20 degrees) can be wrong in the same
-/// way, and confirm nothing.
-const ALIKE: (Millimetres, Angle) = (Millimetres(300), Angle(3_641));
+/// Search range in which a robot is followed, beyond three deviations of its odometry.
+const BESIDE: (Millimetres, Angle) = (Millimetres(50), Angle(200));
+/// Deviation of the motion over a view, beyond that of the odometry: of its rounding and of the view's time.
+const VIEWED: Variances = Variances::of(5.0, 0.001);
+/// Maximum deviation of a followed robot's heading, in radians, to learn from it.
+const SURE: f64 = 0.02;
+/// How far from the place where it is believed to be a robot that has booted is sought.
+const SOUGHT: Millimetres = Millimetres(800);
 
 /// The time that a robot spends out of the cameras' view.
 #[derive(Debug)]
 pub(super) struct BlindTrip {
     /// The surfaces that the robot has seen during the trip.
     trail: Trail,
-    /// The pose that the robot last reported.
-    last: Pose,
+    /// Where the robot was in its last view.
+    at: Motion,
+    reported: Reported,
+    drift: Drift,
     /// Distance driven in millimetres, and angle turned in radians, since the robot's pose was last
     /// known from cameras or a match.
     way_mm: f64,
@@ -46,56 +59,28 @@ pub(super) struct BlindTrip {
     booted: Option<Booted>,
 }
 
-/// A robot that has booted, and does not know where.
-#[derive(Clone, Copy, Debug)]
-struct Booted {
-    /// Whether it stood when it was last heard of.
-    stood: bool,
-    /// The last pose found in any heading, and the one that the robot believed in then.
-    last: Option<(Pose, Pose)>,
-}
-
-impl Booted {
-    /// Finds the robot's pose about the place where it believes to be: there, if it stood and sees what is to
-    /// be seen from there; otherwise in any heading, if two different views in a row lead to one place.
-    fn find(&mut self, surfaces: &Surfaces, points: &[[f64; 2]], believed: Pose) -> Option<Match> {
-        if let Some(found) =
-            self.stood.then(|| surfaces.find_where_it_stood(points, believed)).flatten()
-        {
-            return Some(found);
-        }
-        let found = surfaces.find_in_any_heading(points, believed)?;
-        let Some((seen, from)) = self.last else {
-            self.last = Some((found.pose, believed));
-            return None;
-        };
-        let is_within = |motion: &Motion, (way, turn): (Millimetres, Angle)| {
-            motion.translation.vector.norm() <= way.metres()
-                && motion.rotation.angle().abs() <= turn.radians()
-        };
-        let moved = motion(from).inverse() * motion(believed);
-        if is_within(&moved, ALIKE) {
-            return None;
-        }
-        self.last = Some((found.pose, believed));
-        let off = (motion(seen) * moved).inverse() * motion(found.pose);
-        is_within(&off, SAME).then_some(found)
-    }
-}
-
 impl BlindTrip {
     /// Starts the trip of a robot whose reported pose is `last` and that has been out of view for
     /// `unseen`.
     pub(super) fn after(unseen: Duration, last: Pose) -> Self {
         let metres = (unseen.micros() as f64 / 1e6).min(UNHEARD_M);
-        Self { trail: Trail::default(), last, way_mm: 1_000.0 * metres, turned: 0.0, booted: None }
+        let mut drift = Drift::none();
+        drift.go(Some(Variances::of_motion(&Motion::translation(metres, 0.0))));
+        Self {
+            trail: Trail::default(),
+            at: motion(last),
+            reported: Reported::seen_at(last),
+            drift,
+            way_mm: 1_000.0 * metres,
+            turned: 0.0,
+            booted: None,
+        }
     }
 
     /// Starts the trip of a robot that has booted somewhere about a place.
     pub(super) fn about(place: &Place) -> Self {
-        let way_mm = 1_000.0 * UNHEARD_M;
-        let booted = Some(Booted { stood: place.stands(), last: None });
-        Self { booted, way_mm, ..Self::after(Duration::default(), place.pose) }
+        let booted = Some(Booted::new(place.stands()));
+        Self { booted, ..Self::after(Duration::default(), place.pose) }
     }
 
     /// Whether the robot has booted and was not found yet.
@@ -107,53 +92,108 @@ impl BlindTrip {
     /// pose is still accurate.
     pub(super) fn remember(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
         if self.booted.is_none() {
+            (self.at, self.reported) = (motion(pose), Reported::seen_at(pose));
             self.trail.add(pose, points, resolution);
         }
     }
 
     /// Finds the pose from which the robot saw the points of a distance vector, and adds them to
-    /// the trail. `None` without a unique match.
+    /// the trail. `None` if they do not determine it. `scale` is the robot's; it is learnt on the way.
     pub(super) fn locate(
         &mut self,
         robot: RobotId,
         vector: &DistanceVector,
         points: &[[f64; 2]],
         (map, resolution): (&SharedMap, Millimetres),
+        scale: &mut TurnScale,
     ) -> Option<Match> {
-        let search = self.go(vector.pose);
         let settled = ((vector.time.micros() / 1_000_000) as u32).saturating_sub(OWN_AGE);
-        let own = map.layer(robot);
-        let reach = reach(points, search);
-        let drawn = |id| {
+        let reach = reach(points);
+        let drawn = |trail: &Trail, id| {
             let mut tile = map.without(Some(robot), id);
             // The trail is finer than the robot's own cells, and replaces them.
-            if let Some(own) = own.filter(|_| !self.trail.has(id)) {
+            if let Some(own) = map.layer(robot).filter(|_| !trail.has(id)) {
                 tile.fill_unknown_from(&own.drawn_by(id, settled));
             }
             tile
         };
-        let surfaces = Surfaces::about(vector.pose, reach, resolution, drawn, &self.trail);
-        let found = match &mut self.booted {
-            Some(booted) => booted.find(&surfaces, points, vector.pose),
-            None => surfaces.find(points, vector.pose, search),
+        let surfaces = |pose, reach, trail: &Trail| {
+            Surfaces::about(pose, reach, resolution, |id| drawn(trail, id), trail)
         };
-        if found.is_some() {
-            (self.way_mm, self.turned, self.booted) = (0.0, 0.0, None);
+        if let Some(booted) = &mut self.booted {
+            let surfaces = surfaces(vector.pose, reach + SOUGHT, &self.trail);
+            let found = booted.find(&surfaces, points, vector.pose)?;
+            self.begin_at(&found);
+            self.trail.add(found.pose, points, resolution);
+            return Some(found);
         }
-        // What is seen in an unknown heading would mislead the next search.
-        if self.booted.is_none() {
-            let pose = found.map_or(vector.pose, |found| found.pose);
-            self.trail.add(pose, points, resolution);
+
+        let rolled = self.reported.rolled_to(vector.pose);
+        let near = |trail: &Trail, pose| {
+            Surfaces::about(pose, reach, resolution, |_| Tile::UNKNOWN, trail)
+        };
+        let followed = self.follow(&rolled, points, near, scale);
+        let mut pose = submaps::pose(&self.at);
+        let search = self.go(&rolled);
+        let found = surfaces(pose, reach + search.position, &self.trail).find(points, pose, search);
+        if let Some(corrected) = found.and_then(|found| self.drift.correct(pose, &found)) {
+            (self.way_mm, self.turned) = (0.0, 0.0);
+            pose = corrected.pose();
+            if let Corrected::Moved(_) = corrected {
+                // What the robot has seen from wrong poses would draw it back.
+                self.trail = Trail::default();
+            }
         }
-        found
+        self.at = motion(pose);
+        self.trail.add(pose, points, resolution);
+        let sure = followed.filter(Match::is_sure).or(found);
+        let fix = sure.map(|sure| Match { pose, ..sure })?;
+        self.reported.fix(&fix);
+        Some(fix)
     }
 
-    /// Adds the motion since the last reported pose. Returns the search range around the new one.
-    fn go(&mut self, to: Pose) -> Search {
-        let (x, y) = (to.x - self.last.x, to.y - self.last.y);
-        self.way_mm += f64::from(x.0).hypot(f64::from(y.0));
-        self.turned += (to.heading - self.last.heading).radians().abs();
-        self.last = to;
+    /// Begins anew where the robot, which did not know its pose, was found.
+    fn begin_at(&mut self, found: &Match) {
+        (self.way_mm, self.turned, self.booted) = (0.0, 0.0, None);
+        self.at = motion(found.pose);
+        (self.reported, self.drift) = (Reported::found_by(found), Drift::of_map());
+    }
+
+    /// Moves on by what the odometry says, and then by what the robot sees of its trail's surfaces `near` the
+    /// predicted pose. Returns the match with these.
+    fn follow(
+        &mut self,
+        rolled: &Motion,
+        points: &[[f64; 2]],
+        near: impl Fn(&Trail, Pose) -> Surfaces,
+        scale: &mut TurnScale,
+    ) -> Option<Match> {
+        let predicted = submaps::pose(&(self.at * scale.corrected(rolled)));
+        let strayed = Variances::of_motion(rolled).plus(VIEWED);
+        let (place, turn) = strayed.deviations();
+        let search = Search {
+            position: Millimetres(3 * place.0) + BESIDE.0,
+            turn: Angle(turn.0.saturating_mul(3)) + BESIDE.1,
+            prior: Prior::Carried(place, turn),
+        };
+        let followed = near(&self.trail, predicted).follow(points, predicted, search);
+        let pose = followed.map_or(predicted, |it| it.pose);
+        self.at = motion(pose);
+        match followed.map(|it| it.deviations()) {
+            Some([.., seen]) if seen < SURE => {
+                let off = (predicted.heading - pose.heading).radians();
+                scale.learn(rolled.rotation.angle(), off, strayed.turn + seen * seen);
+                self.drift.go(None);
+            }
+            _ => self.drift.go(Some(strayed)),
+        }
+        followed
+    }
+
+    /// Adds a motion. Returns the search range around the new pose.
+    fn go(&mut self, rolled: &Motion) -> Search {
+        self.way_mm += 1_000.0 * rolled.translation.vector.norm();
+        self.turned += rolled.rotation.angle().abs();
         let (way, turned) = (self.way_mm / 1_000.0, self.turned);
         // Sufficient for a robot that slips by 10 % and turns by 3 degrees per metre.
         Search {
@@ -167,8 +207,8 @@ impl BlindTrip {
     }
 }
 
-/// Radius of the section of the map around a robot that a search needs.
-pub(super) fn reach(points: &[[f64; 2]], search: Search) -> Millimetres {
+/// Radius of the section of the map around a robot's place that its points need.
+pub(super) fn reach(points: &[[f64; 2]]) -> Millimetres {
     let farthest = points.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
-    Millimetres(farthest as i32 + search.position.0 + 300)
+    Millimetres(farthest as i32 + 300)
 }

@@ -3,7 +3,10 @@
 //! the map.
 
 mod blind;
+mod booted;
 mod cure;
+mod drift;
+mod odometry;
 mod robot;
 
 use std::collections::{BTreeMap, VecDeque};

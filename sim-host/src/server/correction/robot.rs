@@ -12,6 +12,7 @@ use ubimap_protocol::{
 use super::{
     blind::{BlindTrip, reach},
     cure::{Cure, CureStep},
+    odometry::TurnScale,
 };
 use crate::{
     mapping::{ConstantErrors, CureRecord, Match, Prior, Search, Surfaces, Trail, points},
@@ -47,6 +48,7 @@ pub(super) struct RobotCorrection {
     /// Recent camera fixes, corrected; newest last.
     fixes: VecDeque<(Instant, Pose)>,
     blind: Option<BlindTrip>,
+    scale: TurnScale,
     next_look: Instant,
 }
 
@@ -73,7 +75,9 @@ impl RobotCorrection {
             return self.errors.corrected(seen);
         }
         let pose = self.errors.fix(captured, seen);
-        self.blind = None;
+        if self.blind.take().is_some() {
+            self.scale.doubt();
+        }
         self.fixes.push_back((captured, pose));
         self.fixes.retain(|&(moment, _)| captured.since(moment) <= FIX_HISTORY);
         pose
@@ -116,7 +120,7 @@ impl RobotCorrection {
             blind.remember(vector.pose, &points, resolution);
             return None;
         }
-        let found = blind.locate(robot, vector, &points, (map, resolution))?;
+        let found = blind.locate(robot, vector, &points, (map, resolution), &mut self.scale)?;
         Some(Finding::Fix(fix_of(&found, vector.time)))
     }
 
@@ -148,7 +152,7 @@ impl RobotCorrection {
         map: &SharedMap,
         resolution: Millimetres,
     ) -> Finding {
-        let reach = reach(points, IN_VIEW);
+        let reach = reach(points) + IN_VIEW.position;
         let surfaces =
             Surfaces::about(pose, reach, resolution, |id| map.in_view(id), &Trail::default());
         let found = surfaces.find(points, pose, IN_VIEW);

@@ -1,0 +1,151 @@
+//! How far a robot's pose has drifted from the map while it was followed by what it saw itself.
+
+use ubimap_protocol::units::Pose;
+
+use super::odometry::Variances;
+use crate::mapping::{
+    Match,
+    submaps::{Motion, motion},
+};
+
+/// How far off robots have drawn the map in blind ground: deviations in mm and rad (a degree).
+const MAP: (f64, f64) = (50.0, 0.0175);
+/// Deviations that a view adds in which a robot is followed: in mm and rad (0.15 degrees).
+const FOLLOWED: Variances = Variances::of(10.0, 0.002_6);
+/// Distance (m) and angle (5 degrees) within which two corrections are the same.
+const SAME: (f64, f64) = (0.15, 0.087);
+/// From a place this far away (m), or turned by so much (40 degrees), a robot sees something else.
+const ELSEWHERE: (f64, f64) = (0.5, 0.7);
+
+/// The drift of a robot's pose in the map.
+///
+/// Walls in blind ground were drawn by robots that had drifted themselves. If the robot's pose went to each match
+/// with them, its own walls would bend wherever it saw another's. So matches pull a pose that is followed, and move it
+/// only if two views of different walls agree that it is wrong.
+#[derive(Debug)]
+pub(super) struct Drift {
+    variances: Variances,
+    /// A match that contradicted the pose: where the robot was, and the motion in the map that would correct it.
+    contradiction: Option<(Pose, Motion)>,
+}
+
+/// What a match says of a robot's pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Corrected {
+    /// It is a little off; the corrected pose.
+    Pulled(Pose),
+    /// It was wrong; the right one.
+    Moved(Pose),
+}
+
+impl Corrected {
+    pub(super) fn pose(self) -> Pose {
+        let (Self::Pulled(pose) | Self::Moved(pose)) = self;
+        pose
+    }
+}
+
+impl Drift {
+    /// A robot that was just seen.
+    pub(super) fn none() -> Self {
+        Self { variances: Variances::of(20.0, 0.009), contradiction: None }
+    }
+
+    /// A robot whose pose is as good as the map.
+    pub(super) fn of_map() -> Self {
+        Self { variances: Variances::of(MAP.0, MAP.1), contradiction: None }
+    }
+
+    /// The robot has driven on, and was followed by what it saw, or else has strayed by this much.
+    pub(super) fn go(&mut self, strayed: Option<Variances>) {
+        self.variances = self.variances.plus(strayed.unwrap_or(FOLLOWED));
+    }
+
+    /// Corrects a pose by a match with the map. `None` if the match contradicts it: either may be wrong.
+    pub(super) fn correct(&mut self, pose: Pose, found: &Match) -> Option<Corrected> {
+        let [x, y, turn] = found.deviations();
+        let deviations = [x.hypot(MAP.0), y.hypot(MAP.0), turn.hypot(MAP.1)];
+        if let Some(pulled) = self.variances.correct(pose, found.pose, deviations) {
+            self.contradiction = None;
+            return Some(Corrected::Pulled(pulled));
+        }
+        let is_beyond = |motion: &Motion, (way, turn): (f64, f64)| {
+            motion.translation.vector.norm() > way || motion.rotation.angle().abs() > turn
+        };
+        let by = motion(found.pose) * motion(pose).inverse();
+        if let Some((from, before)) = self.contradiction {
+            let off = (before * motion(pose)).inverse() * motion(found.pose);
+            let driven = motion(from).inverse() * motion(pose);
+            match (is_beyond(&off, SAME), is_beyond(&driven, ELSEWHERE)) {
+                (false, true) => {
+                    *self = Self::of_map();
+                    return Some(Corrected::Moved(found.pose));
+                }
+                (false, false) => return None,
+                (true, _) => {}
+            }
+        }
+        self.contradiction = Some((pose, by));
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix3;
+
+    use super::*;
+
+    fn found(x: f64, y: f64, degrees: f64) -> Match {
+        let pose = Pose::from_metres(x, y, degrees.to_radians());
+        let covariance = Matrix3::from_diagonal(&nalgebra::Vector3::new(400.0, 400.0, 1e-4));
+        Match { pose, covariance }
+    }
+
+    #[test]
+    fn a_map_that_is_a_little_askew_pulls_a_pose_slowly() {
+        let mut drift = Drift::none();
+        let mut pose = Pose::default();
+        let mut offs = Vec::new();
+        for _ in 0..30 {
+            drift.go(None);
+            let Some(Corrected::Pulled(pulled)) = drift.correct(pose, &found(0.06, 0.0, 2.0))
+            else {
+                panic!("{offs:?}")
+            };
+            pose = pulled;
+            offs.push((pose.x.0, pose.heading.degrees()));
+        }
+        let (x, heading) = offs[0];
+        assert!(x < 15 && heading < 0.6, "{offs:?}");
+        let (x, heading) = offs[29];
+        assert!(x > 50 && heading > 1.7, "{offs:?}");
+    }
+
+    #[test]
+    fn a_pose_moves_only_if_views_from_two_places_agree() {
+        let far = |drift: &mut Drift, x: f64, by: f64| {
+            drift.correct(Pose::from_metres(x, 0.0, 0.0), &found(x + by, 0.0, 0.0))
+        };
+        let mut drift = Drift::none();
+        assert_eq!(far(&mut drift, 1.0, 0.6), None);
+        assert_eq!(far(&mut drift, 1.2, 0.6), None, "nearly the same view");
+        assert_eq!(far(&mut drift, 2.0, -0.5), None, "another correction");
+        assert_eq!(far(&mut drift, 2.6, 0.6), None);
+        let there = Pose::from_metres(4.0, 0.0, 0.0);
+        assert_eq!(far(&mut drift, 3.4, 0.6), Some(Corrected::Moved(there)));
+        // It is as unsure as the map now.
+        assert!(matches!(far(&mut drift, 3.4, 0.1), Some(Corrected::Pulled(_))));
+    }
+
+    #[test]
+    fn a_robot_that_has_strayed_follows_the_map() {
+        let mut drift = Drift::none();
+        drift.go(Some(Variances::of(300.0, 0.1)));
+        let Some(Corrected::Pulled(pose)) = drift.correct(Pose::default(), &found(0.4, 0.0, 5.0))
+        else {
+            panic!()
+        };
+        assert!(pose.x.0 > 360 && pose.heading.degrees() > 4.5, "{pose:?}");
+    }
+}
