@@ -1,6 +1,6 @@
 //! Corrections from robots' fixes and distance vectors: on covered ground, constant errors of
-//! identifiers and sensors are estimated; in blind ground, robots are localised by matching with
-//! the map.
+//! identifiers and sensors are estimated; in blind ground, robots are followed by what they see, and
+//! matched with the map.
 
 mod blind;
 mod booted;

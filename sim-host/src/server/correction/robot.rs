@@ -31,7 +31,7 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 
 /// The result of processing a distance vector.
 pub(super) enum Finding {
-    /// A unique match with the map in blind ground.
+    /// The pose in blind ground.
     Fix(PoseFix),
     /// The robot is in view. Contains the number of its points on surfaces that cameras see, and
     /// the number in free ground.
@@ -48,6 +48,7 @@ pub(super) struct RobotCorrection {
     /// Recent camera fixes, corrected; newest last.
     fixes: VecDeque<(Instant, Pose)>,
     blind: Option<BlindTrip>,
+    /// Outlasts the trips.
     scale: TurnScale,
     next_look: Instant,
 }
@@ -187,7 +188,7 @@ impl RobotCorrection {
     }
 }
 
-/// Converts a match with the map to a fix. A fix carries no correlations between x, y and heading,
+/// Converts a match to a fix. A fix carries no correlations between x, y and heading,
 /// only their deviations, rounded up.
 fn fix_of(found: &Match, time: Instant) -> PoseFix {
     let [x, y, heading] = found.deviations();
