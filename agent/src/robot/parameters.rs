@@ -436,7 +436,7 @@ mod tests {
         let stored = |settings: &mut Settings| {
             let get = ParameterCommand { number: 1, action: ParameterAction::Get(13) };
             let answer = carry_out(&get, settings).unwrap();
-            assert_eq!((answer.outcome, answer.untold), (ParameterOutcome::Done, &STORED[..]));
+            assert_eq!((answer.outcome, answer.untold), (ParameterOutcome::Done, STORED));
             Parameter::Stored.value(settings)
         };
         let (done, refused) = (ParameterOutcome::Done, ParameterOutcome::OutOfRange);
