@@ -1,12 +1,9 @@
 //! The surfaces that a robot has seen on its way through blind ground.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use nalgebra::Vector2;
-use ubimap_protocol::{
-    tile::TileId,
-    units::{Millimetres, Pose},
-};
+use ubimap_protocol::units::{Millimetres, Pose};
 
 use super::geometry::{cell_at, line, position, quarter, rotated};
 
@@ -30,7 +27,6 @@ struct Seen {
 pub struct Trail {
     /// The surfaces, by viewing quadrant and cell.
     seen: [BTreeMap<(i32, i32), Seen>; 4],
-    tiles: BTreeSet<TileId>,
 }
 
 impl Trail {
@@ -50,17 +46,11 @@ impl Trail {
             let Some((arm, normal)) = line(three) else { continue };
             let middle = position(pose) + arm;
             let (x, y) = cell_at(middle, f64::from(resolution.0));
-            self.tiles.extend(TileId::of_cell(x, y));
             let seen = self.seen[quarter(arm)].entry((x, y)).or_default();
             seen.middle += middle;
             seen.normal += if normal.dot(&arm) < 0.0 { normal } else { -normal };
             seen.count += 1;
         }
-    }
-
-    /// Whether any surface has been seen in a tile.
-    pub fn has(&self, id: TileId) -> bool {
-        self.tiles.contains(&id)
     }
 
     /// The cells with surfaces visible when looking into a quadrant, each with the surfaces' mean

@@ -112,19 +112,18 @@ impl BlindTrip {
     ) -> Option<Match> {
         let settled = ((vector.time.micros() / 1_000_000) as u32).saturating_sub(OWN_AGE);
         let reach = reach(points);
-        let drawn = |trail: &Trail, id| {
+        let drawn = |id| {
             let mut tile = map.without(Some(robot), id);
-            // The trail is finer than the robot's own cells, and replaces them.
-            if let Some(own) = map.layer(robot).filter(|_| !trail.has(id)) {
+            if let Some(own) = map.layer(robot) {
                 tile.fill_unknown_from(&own.drawn_by(id, settled));
             }
             tile
         };
-        let surfaces = |pose, reach, trail: &Trail| {
-            Surfaces::about(pose, reach, resolution, |id| drawn(trail, id), trail)
-        };
+        // Without the trail, which has drifted as the robot has, and would agree with it.
+        let surfaces =
+            |pose, reach| Surfaces::about(pose, reach, resolution, drawn, &Trail::default());
         if let Some(booted) = &mut self.booted {
-            let surfaces = surfaces(vector.pose, reach + SOUGHT, &self.trail);
+            let surfaces = surfaces(vector.pose, reach + SOUGHT);
             let found = booted.find(&surfaces, points, vector.pose)?;
             self.begin_at(&found);
             self.trail.add(found.pose, points, resolution);
@@ -138,7 +137,7 @@ impl BlindTrip {
         let followed = self.follow(&rolled, points, near, scale);
         let mut pose = submaps::pose(&self.at);
         let search = self.go(&rolled);
-        let found = surfaces(pose, reach + search.position, &self.trail).find(points, pose, search);
+        let found = surfaces(pose, reach + search.position).find(points, pose, search);
         if let Some(corrected) = found.and_then(|found| self.drift.correct(pose, &found)) {
             (self.way_mm, self.turned) = (0.0, 0.0);
             pose = corrected.pose();
