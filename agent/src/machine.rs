@@ -485,7 +485,8 @@ mod tests {
                 Fill::Datagram
             });
             bench.machine.receive(Port::Server, &out[..sent.unwrap().len], now);
-            bench.machine.poll_store(now).map(|it| it.to_vec())
+            let changed = |it: &&ParameterValue| it.parameter == 6;
+            bench.machine.poll_store(now).map(|it| it.iter().filter(changed).copied().collect())
         }
 
         /// The outcome that the machine reports.

@@ -2,6 +2,7 @@
 
 use heapless::Vec;
 use ubimap_protocol::{
+    checksum::crc32,
     message::{
         MAX_PARAMETERS, ParameterAction, ParameterCommand, ParameterOutcome, ParameterReport,
         ParameterValue, ToServer, Writer,
@@ -11,7 +12,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres},
 };
 
-use super::{config::Config, settings::Settings, unstored::STORABLE};
+use super::{config::Config, settings::Settings, unstored::Unstored};
 use crate::sense::{Exposure, Removal};
 
 /// The parameters. The value of a variant is the parameter's number on the wire.
@@ -159,7 +160,7 @@ impl Parameter {
                 value_of(from, to)
             }
             Self::Exposure => value_of(settings.exposure.darkest, settings.exposure.brightest),
-            Self::Stored => unstored(settings).is_empty().into(),
+            Self::Stored => are_stored(settings).into(),
         }
     }
 
@@ -212,7 +213,7 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
                 let (least, most) = wanted.range();
                 if !(least..=most).contains(&value) {
                     outcome = ParameterOutcome::OutOfRange;
-                } else if *wanted == Parameter::Stored && !unstored(settings).is_empty() {
+                } else if *wanted == Parameter::Stored && !are_stored(settings) {
                     settings.unstored.wait(number);
                     return None;
                 } else {
@@ -228,41 +229,42 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
     Some(Answer { number, outcome, untold: wanted })
 }
 
-/// The values of the parameters up to the one that says whether they are stored.
-// Not inlined, since robots are built in place.
+/// The parameters that a board stores: not the first epoch, which is the server's business.
 #[inline(never)]
-pub(super) fn storable(settings: &Settings) -> [i32; STORABLE] {
-    let mut values = [0; STORABLE];
-    for (place, parameter) in values.iter_mut().zip(Parameter::ALL) {
-        *place = parameter.value(settings);
-    }
-    values
-}
-
-/// The parameters whose values are not those with which the next boot begins. The first epoch is the
-/// server's business.
-#[inline(never)]
-fn unstored(settings: &Settings) -> Vec<ParameterValue, MAX_PARAMETERS> {
+fn storable(settings: &Settings) -> Vec<ParameterValue, MAX_PARAMETERS> {
     let mut values = Vec::new();
-    let stored = settings.unstored.stored().into_iter().flatten();
-    for (parameter, stored) in Parameter::ALL.iter().zip(stored) {
-        let value = parameter.value(settings);
-        if value != *stored && *parameter != Parameter::FirstEpoch {
+    for &parameter in Parameter::ALL {
+        if !matches!(parameter, Parameter::FirstEpoch | Parameter::Stored) {
             // There are no more of them than fit.
-            let _ = values.push(ParameterValue { parameter: *parameter as u16, value });
+            let value = parameter.value(settings);
+            let _ = values.push(ParameterValue { parameter: parameter as u16, value });
         }
     }
     values
 }
 
+/// The CRC-32 of their values.
+fn crc(settings: &Settings) -> u32 {
+    let mut bytes = [0; 4 * MAX_PARAMETERS];
+    for (place, value) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(&storable(settings)) {
+        *place = value.value.to_le_bytes();
+    }
+    crc32(&[&bytes])
+}
+
+/// Whether the next boot begins with the present values.
+fn are_stored(settings: &Settings) -> bool {
+    settings.unstored.stored() == Some(crc(settings))
+}
+
 /// The parameters to be stored, while a command waits for that.
 pub(super) fn to_store(settings: &Settings) -> Option<Vec<ParameterValue, MAX_PARAMETERS>> {
-    settings.unstored.is_waiting().then(|| unstored(settings))
+    matches!(settings.unstored, Unstored::Waiting(..)).then(|| storable(settings))
 }
 
 /// The answer to the command that waited until the parameters were stored.
 pub(super) fn finish(settings: &mut Settings, is_stored: bool) -> Option<Answer> {
-    let stored = is_stored.then(|| storable(settings));
+    let stored = is_stored.then(|| crc(settings));
     let number = settings.unstored.end(stored)?;
     let outcome = if is_stored { ParameterOutcome::Done } else { ParameterOutcome::OutOfRange };
     let untold = Parameter::numbered(Parameter::Stored as u16, Parameter::ALL);
@@ -276,9 +278,14 @@ impl<D> Config<D> {
     pub(super) fn settings(&self) -> Settings {
         let mut settings = Settings::from(self);
         if self.keeps_parameters {
-            settings.unstored.begin(storable(&settings));
+            settings.unstored = Unstored::Stored(crc(&settings));
         }
         settings
+    }
+
+    /// The values of all parameters but the first epoch.
+    pub fn parameters(&self) -> Vec<ParameterValue, MAX_PARAMETERS> {
+        storable(&Settings::from(self))
     }
 
     /// Sets parameters before the robot is made. Unknown ones and values out of range are skipped.
@@ -459,7 +466,8 @@ mod tests {
         let value = |parameter, value| ParameterValue { parameter, value };
         for is_stored in [false, true] {
             assert_eq!(carry_out(&set(13, 1), &mut settings), None, "it waits");
-            assert_eq!(to_store(&settings).unwrap()[..], [value(1, 130), value(6, 300)]);
+            let values = to_store(&settings).unwrap();
+            assert_eq!((values.len(), values[0], values[5]), (11, value(1, 130), value(6, 300)));
             let outcome = if is_stored { done } else { refused };
             assert_eq!(finish(&mut settings, is_stored), answer(outcome));
             assert_eq!(stored(&mut settings), i32::from(is_stored));

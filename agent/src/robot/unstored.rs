@@ -1,42 +1,37 @@
-//! What a board has not stored of the robot's parameters.
+//! Whether a board has stored the robot's parameters.
 
-/// Number of parameters whose values are compared.
-pub(super) const STORABLE: usize = 12;
-
-/// What a board has stored, if it can store parameters, and whether it is to do so.
+/// What a board has stored of the parameters, if it can store any.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Unstored {
-    /// The values with which the next boot begins.
-    stored: Option<[i32; STORABLE]>,
-    /// Number of the command to store that waits for the board.
-    command: Option<u16>,
+pub(super) enum Unstored {
+    /// It can't store any.
+    #[default]
+    NoStorage,
+    /// The CRC-32 of the values with which the next boot begins.
+    Stored(u32),
+    /// The same, while the command with this number to store the present values waits for the board.
+    Waiting(u32, u16),
 }
 
 impl Unstored {
-    /// The next boot begins with these values.
-    pub(super) fn begin(&mut self, values: [i32; STORABLE]) {
-        self.stored = Some(values);
+    /// The CRC-32 of the values with which the next boot begins.
+    pub(super) fn stored(self) -> Option<u32> {
+        match self {
+            Self::NoStorage => None,
+            Self::Stored(crc) | Self::Waiting(crc, _) => Some(crc),
+        }
     }
 
-    /// The values with which the next boot begins; `None` if the board can't store any.
-    pub(super) fn stored(&self) -> Option<&[i32; STORABLE]> {
-        self.stored.as_ref()
-    }
-
-    /// Lets a command wait for the board.
+    /// Lets a command wait for the board, if that can store parameters.
     pub(super) fn wait(&mut self, command: u16) {
-        self.command = Some(command);
+        if let Some(crc) = self.stored() {
+            *self = Self::Waiting(crc, command);
+        }
     }
 
-    /// Whether a command waits for the board.
-    pub(super) fn is_waiting(&self) -> bool {
-        self.command.is_some()
-    }
-
-    /// The board has stored these values, or has failed. Returns the number of the command.
-    pub(super) fn end(&mut self, stored: Option<[i32; STORABLE]>) -> Option<u16> {
-        let command = self.command.take()?;
-        self.stored = stored.or(self.stored);
+    /// The board has stored values with this CRC, or has failed. Returns the number of the command that waited.
+    pub(super) fn end(&mut self, stored: Option<u32>) -> Option<u16> {
+        let Self::Waiting(before, command) = *self else { return None };
+        *self = Self::Stored(stored.unwrap_or(before));
         Some(command)
     }
 }

@@ -252,7 +252,7 @@ pub fn run(options: &RobotOptions) -> Result<(), RunError> {
     let seal = seal.transpose()?;
     let config = file.config(getrandom::u32().map_err(RunError::Randomness)?);
     let mut config = Config { seal, keeps_parameters: true, ..config };
-    let stored = Stored::beside(path)?;
+    let stored = Stored::beside(path, config.parameters().to_vec())?;
     if let Some(told) = stored.told() {
         log::info!("{told}");
     }

@@ -23,14 +23,16 @@ const HEAD: &str = "# stored by ubimap param; values as on the wire, SPEC sectio
 pub(super) struct Stored {
     path: PathBuf,
     values: BTreeMap<String, i32>,
+    /// Those of the configuration.
+    configured: Vec<ParameterValue>,
 }
 
 impl Stored {
-    /// Those of the robot with this configuration; none if there is no file.
+    /// Those of the robot with this configuration, which has these parameters itself; none if there is no file.
     ///
     /// # Errors
     /// [`RunError::Deployment`] if the file can't be read, or is not what was written.
-    pub(super) fn beside(config: &Path) -> Result<Self, RunError> {
+    pub(super) fn beside(config: &Path, configured: Vec<ParameterValue>) -> Result<Self, RunError> {
         let path = config.with_extension("parameters");
         let refuse = |reason| RunError::Deployment { path: path.clone(), reason };
         let values: BTreeMap<String, i32> = match files::read_settings(&path) {
@@ -44,7 +46,7 @@ impl Stored {
             on_wire(name, &value.to_string())
                 .map_err(|reason| refuse(format!("{name}: {reason}")))?;
         }
-        Ok(Self { path, values })
+        Ok(Self { path, values, configured })
     }
 
     /// What was stored, in a line; `None` if nothing was.
@@ -59,16 +61,21 @@ impl Stored {
         self.values.iter().filter_map(|(name, value)| on_wire(name, &value.to_string()).ok())
     }
 
-    /// Stores some, in the place of their former values.
+    /// Stores some, in the place of their former values; those that are as in the configuration follow it.
     ///
     /// # Errors
     /// [`RunError`] if the file can't be written; then it is as before.
-    pub(super) fn store(&mut self, changed: &[ParameterValue]) -> Result<(), RunError> {
+    pub(super) fn store(&mut self, present: &[ParameterValue]) -> Result<(), RunError> {
         let mut values = self.values.clone();
-        for &ParameterValue { parameter, value } in changed {
+        for present in present {
             // The robot's parameters are those that this program knows.
-            let known = Parameter::ALL.iter().find(|it| **it as u16 == parameter);
-            values.extend(known.map(|it| (it.name().to_owned(), value)));
+            let known = Parameter::ALL.iter().find(|it| **it as u16 == present.parameter);
+            let name = known.map_or("", |it| it.name());
+            if self.configured.contains(present) {
+                values.remove(name);
+            } else {
+                values.insert(name.to_owned(), present.value);
+            }
         }
         // Numbers by names: serialising them can't fail.
         let text = HEAD.to_owned() + &toml::to_string(&values).unwrap_or_default();
@@ -87,13 +94,13 @@ mod tests {
     fn what_was_stored_is_there_at_the_next_start() {
         let folder = Folder::new("stored-parameters");
         let config = folder.path().join("robot-1.toml");
-        let stored = || Stored::beside(&config);
-        assert_eq!(stored().unwrap().values().count(), 0);
         let value = |parameter, value| ParameterValue { parameter, value };
-        stored().unwrap().store(&[value(6, 300), value(1, -20)]).unwrap();
-        stored().unwrap().store(&[value(1, 130)]).unwrap();
+        let stored = || Stored::beside(&config, vec![value(1, 100), value(6, 1_000)]);
+        assert_eq!(stored().unwrap().values().count(), 0);
+        stored().unwrap().store(&[value(1, 100), value(6, 300), value(4, 40)]).unwrap();
+        stored().unwrap().store(&[value(1, 130), value(6, 1_000)]).unwrap();
         let values: Vec<_> = stored().unwrap().values().collect();
-        assert_eq!(values, [value(6, 300), value(1, 130)]);
+        assert_eq!(values, [value(4, 40), value(1, 130)]);
 
         for (text, told) in [
             (
