@@ -230,7 +230,6 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
 }
 
 /// The parameters that a board stores: not the first epoch, which is the server's business.
-#[inline(never)]
 fn storable(settings: &Settings) -> Vec<ParameterValue, MAX_PARAMETERS> {
     let mut values = Vec::new();
     for &parameter in Parameter::ALL {
