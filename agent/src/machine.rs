@@ -202,7 +202,7 @@ impl<'b, S: DepthSensor, W: Wheels, D: Drive> Machine<'b, S, W, D> {
     }
 
     /// The parameters that the board is to store now, and then to say whether it has ([`Machine::stored`]): while
-    /// the server waits for that, and the wheels stand. If they turn, the server is told that it is not done.
+    /// the server waits for that, and the wheels stand. If they turn, the server learns that nothing is stored.
     pub fn poll_store(&mut self, now: Instant) -> Option<Vec<ParameterValue, MAX_PARAMETERS>> {
         let parameters = self.robot.poll_store()?;
         if self.turned.is_some_and(|turned| now.since(turned) < STANDSTILL) {

@@ -8,8 +8,8 @@
 //
 // FLASH is a file with the content of the flash, empty at first: the image is flashed over it, as a UF2 file is, and it is
 // kept for the next boot. The power is cut in the middle of the write with number WRITE, from 0 on, if there is one, after
-// SECONDS, and when the TCP port is closed. The
-// last line on standard error has the number of writes. It fails if anything reads the flash while that can't be read.
+// SECONDS, and when USB's other end is closed. The last line on standard error has the number of writes. It fails if
+// anything reads the flash while that can't be read.
 //
 // The boot ROM is not there: its table leads to breakpoints, at which this file does what its routines do. It is stricter
 // than they are: every routine must be called in its turn, with interrupts masked, for the last two sectors alone.

@@ -20,6 +20,9 @@ use std::{
     time::Duration,
 };
 
+use clap::Parser;
+use ubimap_sim_host::run::provision::{self, ProvisionOptions};
+
 use crate::elf::Image;
 
 /// The core for which an image is built; the emulated Cortex-M4 runs images for a Cortex-M0+ as well.
@@ -371,6 +374,21 @@ pub fn provisionable_firmware(folder: &Path) -> Result<PathBuf, EmulatorError> {
 /// The firmware for the Raspberry Pi Pico (`M0`), for [`rp2040js`], or Pico 2 (`M33`), which no emulator here runs.
 pub fn pico_firmware(core: Core) -> Result<PathBuf, EmulatorError> {
     built("firmware", core, if core == Core::M0 { "pico" } else { "pico2" })
+}
+
+#[derive(Parser)]
+struct Provision {
+    #[command(flatten)]
+    options: ProvisionOptions,
+}
+
+/// Does what `ubimap provision` does with these arguments.
+///
+/// # Panics
+/// If it fails.
+pub fn provision(arguments: &[&str]) {
+    let line = ["provision"].iter().chain(arguments);
+    provision::run(&Provision::parse_from(line).options).expect("the image is provisioned");
 }
 
 /// The script that boots the image of a Pico in rp2040js.

@@ -23,15 +23,14 @@ use ubimap_sim_host::conformance::{
     Bench, CheckResult, ConformanceReport, Frame, Keys, Note, Role, Verdict, checks, payload, run,
     unstuffed,
 };
-use ubimap_sim_host::run::{
-    conformance::{self, options::ConformanceOptions},
-    provision::{self, ProvisionOptions},
-};
+use ubimap_sim_host::run::conformance::{self, options::ConformanceOptions};
 use ubimap_tests::conformance::{
     Context, Gate, Hooks, KEY, Leak, Peer, Reaction, RobotPeer, ServerPeer, Spoiled, VirtualBench,
     edit, without,
 };
-use ubimap_tests::emulator::{Core, Emulator, firmware, leave_out, pico_firmware, rp2040js};
+use ubimap_tests::emulator::{
+    Core, Emulator, firmware, leave_out, pico_firmware, provision, rp2040js,
+};
 
 /// A robot or a server with one fault, and the check that must find it.
 struct Mutant {
@@ -634,12 +633,6 @@ struct CommandLine {
     options: ConformanceOptions,
 }
 
-#[derive(clap::Parser)]
-struct Provision {
-    #[command(flatten)]
-    options: ProvisionOptions,
-}
-
 /// Takes seven minutes.
 #[test]
 #[ignore = "takes minutes of real time: cargo conforming"]
@@ -682,8 +675,7 @@ fn our_image_for_a_pico_passes_in_its_emulator() {
         Err(error) => return leave_out("the conformance of a Pico's image", &error),
     };
     let [elf, uf2] = [&elf, &image].map(|path| path.to_str().unwrap());
-    let line = ["provision", elf, "--id", "7", "--out", uf2];
-    provision::run(&Provision::parse_from(line).options).unwrap();
+    provision(&[elf, "--id", "7", "--out", uf2]);
     // A boot that flashes it.
     fs::write(&flash, []).unwrap();
     let mut node = process::Command::new("node");

@@ -20,17 +20,8 @@ use ubimap_protocol::{
     message::{ParameterAction, ParameterOutcome, ParameterValue},
     units::RobotId,
 };
-use ubimap_sim_host::run::{
-    bench::{options::PortOptions, session::Bench},
-    provision::{self, ProvisionOptions},
-};
-use ubimap_tests::emulator::{Core, EmulatorError, leave_out, pico_firmware, rp2040js};
-
-#[derive(Parser)]
-struct CommandLine {
-    #[command(flatten)]
-    options: ProvisionOptions,
-}
+use ubimap_sim_host::run::bench::{options::PortOptions, session::Bench};
+use ubimap_tests::emulator::{Core, EmulatorError, leave_out, pico_firmware, provision, rp2040js};
 
 #[derive(Parser)]
 struct Robot {
@@ -238,10 +229,4 @@ fn writes(output: &Output) -> usize {
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
     said.trim().strip_prefix("writes: ").unwrap().parse().unwrap()
-}
-
-/// `ubimap provision` with these arguments.
-fn provision(arguments: &[&str]) {
-    let line = ["provision"].into_iter().chain(arguments.iter().copied());
-    provision::run(&CommandLine::parse_from(line).options).unwrap();
 }

@@ -9,7 +9,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use clap::Parser;
 use ubimap_agent::flash::{MAGIC, Seed};
 use ubimap_sim_host::{
     channel::serial::SerialPort,
@@ -17,19 +16,12 @@ use ubimap_sim_host::{
         decode::{self, DecodeOptions},
         keys,
         options::{KeysAction, KeysOptions},
-        provision::{self, ProvisionOptions},
     },
 };
 use ubimap_tests::{
     elf::Image,
-    emulator::{Core, Emulator, leave_out, pico_firmware, provisionable_firmware},
+    emulator::{self, Core, Emulator, leave_out, pico_firmware, provisionable_firmware},
 };
-
-#[derive(Parser)]
-struct CommandLine {
-    #[command(flatten)]
-    options: ProvisionOptions,
-}
 
 #[test]
 #[ignore = "runs an image in the emulator: cargo real-time"]
@@ -50,9 +42,7 @@ fn the_image_says_its_number_and_without_one_moves_nothing() {
     assert_eq!(wheels, b"");
 
     let provision = |arguments: &[&str]| {
-        let line = ["provision", image.to_str().unwrap()];
-        let line = line.into_iter().chain(arguments.iter().copied());
-        provision::run(&CommandLine::parse_from(line).options).unwrap()
+        emulator::provision(&[&[image.to_str().unwrap()], arguments].concat());
     };
     provision(&["--id", "1234", "--set", "mounting-x=77"]);
     let [server, wheels] = said(&image);
@@ -85,9 +75,8 @@ fn the_images_for_picos_become_uf2_files_that_their_roms_take() {
         assert_eq!(elf.value("SLOTS"), Some(slots));
         let out = folder.join("robot.uf2");
         for (image, id) in [(&image, "7"), (&out, "8")] {
-            let line = ["provision", image.to_str().unwrap(), "--id", id, "--out"];
-            let line = line.into_iter().chain([out.to_str().unwrap()]);
-            provision::run(&CommandLine::parse_from(line).options).unwrap();
+            let [image, out] = [image, &out].map(|path| path.to_str().unwrap());
+            emulator::provision(&[image, "--id", id, "--out", out]);
         }
         let file = fs::read(&out).unwrap();
         let (blocks, rest) = file.as_chunks::<512>();

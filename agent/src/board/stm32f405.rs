@@ -348,7 +348,7 @@ impl Watchdog {
     }
 }
 
-/// Does what stops the core, with its interrupts, for up to 3 s.
+/// Does what stops the core, with its interrupts, for up to 2 s.
 #[cfg(feature = "flash")]
 pub(super) fn stand_still<T>(clock: Clock, watchdog: &mut Watchdog, work: impl FnOnce() -> T) -> T {
     watchdog.set(2 * USUAL_RELOAD);

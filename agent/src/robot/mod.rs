@@ -13,12 +13,12 @@ mod link;
 mod mapper;
 mod memory;
 mod outbox;
+mod parameter_storage;
 mod parameters;
 mod scans;
 mod settings;
 mod statistics;
 mod surroundings;
-mod unstored;
 mod writing;
 
 use heapless::Vec;

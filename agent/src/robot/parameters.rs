@@ -12,7 +12,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres},
 };
 
-use super::{config::Config, settings::Settings, unstored::Unstored};
+use super::{config::Config, parameter_storage::ParameterStorage, settings::Settings};
 use crate::sense::{Exposure, Removal};
 
 /// The parameters. The value of a variant is the parameter's number on the wire.
@@ -88,7 +88,9 @@ impl Parameter {
     /// Those that a robot has.
     fn of(settings: &Settings) -> &'static [Self] {
         match Self::ALL {
-            [settable @ .., Self::Stored] if settings.unstored.stored().is_none() => settable,
+            [settable @ .., Self::Stored] if settings.parameter_storage.stored().is_none() => {
+                settable
+            }
             all => all,
         }
     }
@@ -214,7 +216,7 @@ pub(crate) fn carry_out(command: &ParameterCommand, settings: &mut Settings) -> 
                 if !(least..=most).contains(&value) {
                     outcome = ParameterOutcome::OutOfRange;
                 } else if *wanted == Parameter::Stored && !are_stored(settings) {
-                    settings.unstored.wait(number);
+                    settings.parameter_storage.wait(number);
                     return None;
                 } else {
                     wanted.set(settings, value);
@@ -253,18 +255,18 @@ fn crc(settings: &Settings) -> u32 {
 
 /// Whether the next boot begins with the present values.
 fn are_stored(settings: &Settings) -> bool {
-    settings.unstored.stored() == Some(crc(settings))
+    settings.parameter_storage.stored() == Some(crc(settings))
 }
 
 /// The parameters to be stored, while a command waits for that.
 pub(super) fn to_store(settings: &Settings) -> Option<Vec<ParameterValue, MAX_PARAMETERS>> {
-    matches!(settings.unstored, Unstored::Waiting(..)).then(|| storable(settings))
+    matches!(settings.parameter_storage, ParameterStorage::Waiting(..)).then(|| storable(settings))
 }
 
 /// The answer to the command that waited until the parameters were stored.
 pub(super) fn finish(settings: &mut Settings, is_stored: bool) -> Option<Answer> {
     let stored = is_stored.then(|| crc(settings));
-    let number = settings.unstored.end(stored)?;
+    let number = settings.parameter_storage.end(stored)?;
     let outcome = if is_stored { ParameterOutcome::Done } else { ParameterOutcome::OutOfRange };
     let untold = Parameter::numbered(Parameter::Stored as u16, Parameter::ALL);
     Some(Answer { number, outcome, untold })
@@ -277,7 +279,7 @@ impl<D> Config<D> {
     pub(super) fn settings(&self) -> Settings {
         let mut settings = Settings::from(self);
         if self.keeps_parameters {
-            settings.unstored = Unstored::Stored(crc(&settings));
+            settings.parameter_storage = ParameterStorage::Stored(crc(&settings));
         }
         settings
     }

@@ -8,7 +8,7 @@ use ubimap_protocol::{
     units::{Millimetres, Pose, RobotId},
 };
 
-use super::{config::Config, unstored::Unstored};
+use super::{config::Config, parameter_storage::ParameterStorage};
 use crate::{
     map::{Gate, MappingConfig, PeerMask, Policy},
     sense::{Exposure, Removal, SensorModel, Validity},
@@ -50,8 +50,8 @@ pub struct Settings {
     pub hold: Duration,
     /// The minimum epoch of new tiles.
     pub first_epoch: Epoch,
-    /// What the board has not stored of them.
-    pub(super) unstored: Unstored,
+    /// Whether the board has stored them.
+    pub(super) parameter_storage: ParameterStorage,
 }
 
 impl<D> From<&Config<D>> for Settings {
@@ -72,7 +72,7 @@ impl<D> From<&Config<D>> for Settings {
             scan_deadline: config.scan_deadline,
             hold: config.hold,
             first_epoch: config.first_epoch,
-            unstored: Unstored::default(),
+            parameter_storage: ParameterStorage::default(),
         }
     }
 }

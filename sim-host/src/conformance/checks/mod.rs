@@ -1,6 +1,7 @@
 //! The checks.
 
 mod frames;
+mod parameters;
 mod reliable;
 mod robot_tiles;
 mod robots;
@@ -12,11 +13,11 @@ use super::{check::Check, halt::Role};
 
 /// The checks for a role, in the order of their numbers from 1 on.
 pub fn checks(role: Role) -> Vec<&'static Check> {
-    let of_role = match role {
-        Role::Robot => [robots::CHECKS, robot_tiles::CHECKS],
-        Role::Server => [servers::CHECKS, server_tiles::CHECKS],
+    let (sessions, parameters, tiles): (_, &[Check], _) = match role {
+        Role::Robot => (robots::CHECKS, parameters::CHECKS, robot_tiles::CHECKS),
+        Role::Server => (servers::CHECKS, &[], server_tiles::CHECKS),
     };
-    [of_role[0], frames::CHECKS, reliable::CHECKS, of_role[1], seals::CHECKS]
+    [sessions, parameters, frames::CHECKS, reliable::CHECKS, tiles, seals::CHECKS]
         .into_iter()
         .flatten()
         .collect()

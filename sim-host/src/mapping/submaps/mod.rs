@@ -39,7 +39,7 @@ pub use {
     graph_mapper::{GraphCounts, GraphMapper},
     pose_graph::{Edge, PoseGraph},
     refinement::{Refined, refine},
-    rigid::{Motion, motion, pose},
+    rigid::{Motion, is_within, motion, pose},
     submap::Submap,
     view::View,
 };

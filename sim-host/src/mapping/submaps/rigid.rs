@@ -16,6 +16,11 @@ pub fn pose(motion: &Motion) -> Pose {
     Pose::from_metres(motion.translation.x, motion.translation.y, motion.rotation.angle())
 }
 
+/// Whether a motion is at most this far, in metres, and turns by at most this much, in radians.
+pub fn is_within(motion: &Motion, (way, turn): (f64, f64)) -> bool {
+    motion.translation.vector.norm() <= way && motion.rotation.angle().abs() <= turn
+}
+
 /// The position and turn of a motion.
 pub(super) fn coordinates(motion: &Motion) -> Vector3<f64> {
     Vector3::new(motion.translation.x, motion.translation.y, motion.rotation.angle())

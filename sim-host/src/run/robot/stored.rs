@@ -68,13 +68,13 @@ impl Stored {
     pub(super) fn store(&mut self, present: &[ParameterValue]) -> Result<(), RunError> {
         let mut values = self.values.clone();
         for present in present {
-            // The robot's parameters are those that this program knows.
             let known = Parameter::ALL.iter().find(|it| **it as u16 == present.parameter);
-            let name = known.map_or("", |it| it.name());
+            // The robot's parameters are those that this program knows.
+            let Some(known) = known else { continue };
             if self.configured.contains(present) {
-                values.remove(name);
+                values.remove(known.name());
             } else {
-                values.insert(name.to_owned(), present.value);
+                values.insert(known.name().to_owned(), present.value);
             }
         }
         // Numbers by names: serialising them can't fail.

@@ -1,18 +1,18 @@
 //! Finds a robot that has booted out of the cameras' view.
 
-use ubimap_protocol::units::{Angle, Millimetres, Pose};
+use ubimap_protocol::units::Pose;
 
 use crate::mapping::{
     Match, Surfaces,
-    submaps::{Motion, motion},
+    submaps::{is_within, motion},
 };
 
-/// Distance and angle (5 degrees) within which two views of a robot that has booted lead to one place.
-const SAME: (Millimetres, Angle) = (Millimetres(150), Angle(910));
+/// Distance (m) and angle (5 degrees) within which two views of a robot that has booted lead to one place.
+const SAME: (f64, f64) = (0.15, 0.087);
 
-/// Two views from poses that differ by less than this distance and this angle (20 degrees) can be wrong in the same
+/// Two views from poses that differ by less than this distance (m) and this angle (20 degrees) can be wrong in the same
 /// way, and confirm nothing.
-const ALIKE: (Millimetres, Angle) = (Millimetres(300), Angle(3_641));
+const ALIKE: (f64, f64) = (0.3, 0.349);
 
 /// A robot that has booted, and does not know where.
 #[derive(Clone, Copy, Debug)]
@@ -46,10 +46,6 @@ impl Booted {
         let Some((seen, from)) = self.last else {
             self.last = Some((found.pose, believed));
             return None;
-        };
-        let is_within = |motion: &Motion, (way, turn): (Millimetres, Angle)| {
-            motion.translation.vector.norm() <= way.metres()
-                && motion.rotation.angle().abs() <= turn.radians()
         };
         let moved = motion(from).inverse() * motion(believed);
         if is_within(&moved, ALIKE) {

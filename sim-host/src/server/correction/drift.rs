@@ -5,7 +5,7 @@ use ubimap_protocol::units::Pose;
 use super::odometry::Variances;
 use crate::mapping::{
     Match,
-    submaps::{Motion, motion},
+    submaps::{Motion, is_within, motion},
 };
 
 /// How far off robots have drawn the map in blind ground: deviations in mm and rad (a degree).
@@ -69,20 +69,17 @@ impl Drift {
             self.contradiction = None;
             return Some(Corrected::Pulled(pulled));
         }
-        let is_beyond = |motion: &Motion, (way, turn): (f64, f64)| {
-            motion.translation.vector.norm() > way || motion.rotation.angle().abs() > turn
-        };
         let by = motion(found.pose) * motion(pose).inverse();
         if let Some((from, before)) = self.contradiction {
             let off = (before * motion(pose)).inverse() * motion(found.pose);
             let driven = motion(from).inverse() * motion(pose);
-            match (is_beyond(&off, SAME), is_beyond(&driven, ELSEWHERE)) {
-                (false, true) => {
+            match (is_within(&off, SAME), is_within(&driven, ELSEWHERE)) {
+                (true, false) => {
                     *self = Self::of_map();
                     return Some(Corrected::Moved(found.pose));
                 }
-                (false, false) => return None,
-                (true, _) => {}
+                (true, true) => return None,
+                (false, _) => {}
             }
         }
         self.contradiction = Some((pose, by));

@@ -2,7 +2,7 @@
 
 /// What a board has stored of the parameters, if it can store any.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) enum Unstored {
+pub(super) enum ParameterStorage {
     /// It can't store any.
     #[default]
     NoStorage,
@@ -12,7 +12,7 @@ pub(super) enum Unstored {
     Waiting(u32, u16),
 }
 
-impl Unstored {
+impl ParameterStorage {
     /// The CRC-32 of the values with which the next boot begins.
     pub(super) fn stored(self) -> Option<u32> {
         match self {
