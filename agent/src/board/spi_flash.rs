@@ -2,8 +2,8 @@
 //!
 //! The image runs from this flash, which can't be read while it is written. So the ROM's routines write it, called by
 //! a function in RAM, with interrupts masked: up to 3 ms for a page, and 45 to 400 ms for a sector (W25Q16JV), every
-//! 245 boots. USB is not served in that time (by the data sheet its controller tells the host to wait), nor are the ports: the slots are
-//! written before these start, and when parameters are stored, while the wheels stand.
+//! 245 boots. USB is not served in that time (by the data sheet its controller tells the host to wait), nor are the
+//! ports: the slots are written before these start, and when parameters are stored, while the wheels stand.
 //!
 //! Tried in the emulator rp2040js for the RP2040, with stand-ins for the ROM (`tests/tests/pico.rs`); never on a board.
 
