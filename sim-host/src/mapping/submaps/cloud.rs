@@ -82,6 +82,11 @@ impl Cloud {
         self.hidden = hidden;
     }
 
+    /// Whether there are surfels about a surfel.
+    pub fn is_beside(&self, surfel: &Surfel) -> bool {
+        self.around(surfel.at).next().is_some()
+    }
+
     /// The surfels in the nine squares around a point: all within [`SQUARE_M`], and some beyond.
     pub(super) fn around(&self, at: Vector2<f64>) -> impl Iterator<Item = &Surfel> {
         let (x, y) = square(at);

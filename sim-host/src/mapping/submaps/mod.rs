@@ -37,9 +37,9 @@ pub use {
     correlation::{Candidate, Pyramid, Window},
     drawing::draw,
     graph_mapper::{GraphCounts, GraphMapper},
-    pose_graph::{Edge, PoseGraph},
+    pose_graph::{Absolute, Edge, PoseGraph},
     refinement::{Refined, refine},
-    rigid::{Motion, is_within, motion, pose},
+    rigid::{Motion, is_within, motion, pose, turned},
     submap::Submap,
     view::View,
 };

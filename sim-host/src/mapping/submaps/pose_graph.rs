@@ -79,7 +79,12 @@ impl Edge {
 impl PoseGraph {
     /// Moves the nodes to the poses that fit the measurements best. Returns the number of iterations.
     pub fn solve(&mut self) -> usize {
-        for iteration in 1..=ITERATIONS {
+        self.improve(ITERATIONS)
+    }
+
+    /// The same with at most this many iterations.
+    pub fn improve(&mut self, most: usize) -> usize {
+        for iteration in 1..=most {
             let (system, right) = self.linearised();
             let Some(factored) = system.factored() else { return iteration };
             let steps = factored.solve(right);
@@ -92,7 +97,7 @@ impl PoseGraph {
                 return iteration;
             }
         }
-        ITERATIONS
+        most
     }
 
     /// The normal equations of the steps of all poses (x, y and heading in the map).

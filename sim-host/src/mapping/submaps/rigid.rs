@@ -79,7 +79,7 @@ impl Measured {
 }
 
 /// The matrix that turns x and y by an angle and keeps the heading.
-pub(super) fn turned(angle: f64) -> Matrix3<f64> {
+pub fn turned(angle: f64) -> Matrix3<f64> {
     let (sin, cos) = (libm::sin(angle), libm::cos(angle));
     Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0)
 }

@@ -20,25 +20,42 @@ pub struct View {
     pub surfels: Vec<Surfel>,
     /// Points up to which the ground is free, without a surface there.
     pub open: Vec<Vector2<f64>>,
+    /// The free ground in each column: from the robot to the line between these points.
+    pub free: Vec<[Vector2<f64>; 2]>,
 }
+
+/// What is free ends this far before the surface that was seen, in metres.
+const BEFORE_M: f64 = 0.1;
 
 impl View {
     /// The view of a distance vector.
     pub fn of(vector: &DistanceVector) -> Self {
         let points: Vec<Vector2<f64>> =
             points(vector).iter().map(|&[x, y]| Vector2::new(x, y) / 1_000.0).collect();
-        let far = f64::from(i32::from(DistanceVector::BEYOND) * DistanceVector::UNIT.0) / 1_000.0;
-        let open = vector.distances.iter().enumerate().filter_map(|(column, &distance)| {
-            let turn = column as f64 * f64::from(vector.step) * core::f64::consts::TAU / 65_536.0;
-            let bearing = vector.first.radians() + turn;
-            (distance == DistanceVector::BEYOND)
-                .then(|| Vector2::new(libm::cos(bearing), libm::sin(bearing)) * far)
+        let unit = f64::from(DistanceVector::UNIT.0) / 1_000.0;
+        let far = f64::from(DistanceVector::BEYOND) * unit;
+        let turn = core::f64::consts::TAU / 65_536.0 * f64::from(vector.step);
+        let at = |column: f64, range: f64| {
+            let bearing = vector.first.radians() + column * turn;
+            Vector2::new(libm::cos(bearing), libm::sin(bearing)) * range
+        };
+        let free = vector.distances.iter().enumerate().filter(|(_, it)| **it > 0);
+        let free = free.map(|(column, &distance)| {
+            let range = match distance {
+                DistanceVector::BEYOND => far,
+                distance => (f64::from(distance) * unit - BEFORE_M).max(0.0),
+            };
+            [-0.5, 0.5].map(|side| at(column as f64 + side, range))
         });
+        let open = vector.distances.iter().enumerate();
+        let open = open.filter(|(_, distance)| **distance == DistanceVector::BEYOND);
+        let open = open.map(|(column, _)| at(column as f64, far));
         Self {
             time: vector.time,
             reported: motion(vector.pose),
             surfels: surfels(&points),
             open: open.collect(),
+            free: free.collect(),
         }
     }
 }

@@ -1,0 +1,180 @@
+use nalgebra::Vector2;
+use ubimap_protocol::{
+    message::DistanceVector,
+    time::Instant,
+    units::{Angle, RobotId},
+};
+
+use super::*;
+
+/// The walls of a corridor of 2 m around a block of 8 by 5 m, with a niche in each.
+fn walls() -> Vec<[f64; 4]> {
+    let ring = |low: [f64; 2], high: [f64; 2], depth: f64, niches: [f64; 4]| {
+        let corners = [low, [high[0], low[1]], high, [low[0], high[1]]];
+        let mut walls = Vec::new();
+        for side in 0..4 {
+            let (from, to) = (Vector2::from(corners[side]), Vector2::from(corners[(side + 1) % 4]));
+            let along = (to - from).normalize();
+            let place =
+                |way: f64, off: f64| from + along * way + Vector2::new(along.y, -along.x) * off;
+            let (start, end, length) = (niches[side], niches[side] + 0.9, (to - from).norm());
+            let ways =
+                [(0.0, 0.0), (start, 0.0), (start, depth), (end, depth), (end, 0.0), (length, 0.0)];
+            walls.extend(ways.windows(2).map(|pair| {
+                let [a, b] = [place(pair[0].0, pair[0].1), place(pair[1].0, pair[1].1)];
+                [a.x, a.y, b.x, b.y]
+            }));
+        }
+        walls
+    };
+    let mut walls = ring([-1.0, -1.0], [11.0, 8.0], 0.5, [2.0, 5.5, 3.1, 1.7]);
+    walls.extend(ring([1.0, 1.0], [9.0, 6.0], -0.4, [4.7, 2.2, 1.3, 3.0]));
+    walls
+}
+
+/// What a sensor with 64 columns over 90 degrees and a range of 4 m sees from a pose, in a second.
+fn view(walls: &[[f64; 4]], truth: &Motion, reported: &Motion, second: u64) -> View {
+    let distances = (0..64).map(|column| {
+        let angle = (f64::from(column) - 31.5) * 256.0 / 65_536.0 * core::f64::consts::TAU;
+        let way = truth.rotation * Vector2::new(angle.cos(), angle.sin());
+        let ranges = walls.iter().filter_map(|&[x0, y0, x1, y1]| {
+            let (side, from) =
+                (Vector2::new(x1 - x0, y1 - y0), Vector2::new(x0, y0) - truth.translation.vector);
+            let cross = |a: Vector2<f64>, b: Vector2<f64>| a.x * b.y - a.y * b.x;
+            let (range, part) =
+                (cross(from, side) / cross(way, side), cross(from, way) / cross(way, side));
+            (range > 0.0 && (0.0..=1.0).contains(&part)).then_some(range)
+        });
+        match ranges.fold(9.0, f64::min) {
+            range if range <= 4.0 => (range / 0.02).round() as u8,
+            _ => DistanceVector::BEYOND,
+        }
+    });
+    View::of(&DistanceVector {
+        time: Instant(second * 1_000_000),
+        pose: submaps::pose(reported),
+        first: Angle((-31.5f64 * 256.0) as i32 as u16),
+        step: 256,
+        distances: distances.collect(),
+    })
+}
+
+/// A robot's way around the block: motions of a second each, in metres and degrees.
+fn round() -> Vec<(f64, f64)> {
+    let side = |length: usize| (0..length).map(|_| (0.25, 0.0)).chain((0..6).map(|_| (0.0, 15.0)));
+    [40, 28, 40, 28].into_iter().flat_map(side).collect()
+}
+
+/// Drives around, with a compass that drifts by 0.02 degrees in each step, seen by cameras at the beginning. Returns the
+/// trajectories, and the times with the true and the reported poses.
+fn driven(rounds: usize) -> (Trajectories, Vec<(u64, Motion, Motion)>) {
+    let (walls, robot) = (walls(), RobotId(3));
+    let (mut truth, mut reported) = (Motion::identity(), Motion::identity());
+    let (mut all, mut poses) = (Trajectories::default(), Vec::new());
+    let ways = (0..rounds).flat_map(|_| round());
+    for (second, (way, turn)) in (0u64..).zip(ways) {
+        let seen = (second < 3).then_some(truth);
+        let by = poses.last().map(|(_, _, last): &(u64, Motion, Motion)| last.inv_mul(&reported));
+        let step = by
+            .filter(|_| second >= 3)
+            .map(|by| Step::new(by, [0.02, 0.02], Some([0.01, 0.01, 0.01])));
+        all.add(robot, &view(&walls, &truth, &reported, second), reported, step, seen);
+        all.advance();
+        if second % 2 == 0 {
+            all.solve(Millimetres(50));
+        }
+        poses.push((second, truth, reported));
+        let turned = turn.to_radians();
+        truth *= Motion::new(Vector2::new(way, 0.0), turned);
+        let drift = if second >= 3 { 0.02f64.to_radians() } else { 0.0 };
+        reported *= Motion::new(Vector2::new(way, 0.0), turned + drift);
+    }
+    (all, poses)
+}
+
+/// By how much what a robot drew is off where it is put: greatest distance in metres.
+fn off(corrections: &[Correction], poses: &[(u64, Motion, Motion)]) -> f64 {
+    let at = |second: u64| {
+        let after = corrections.partition_point(|it| u64::from(it.since) <= second);
+        after.checked_sub(1).map_or_else(Motion::identity, |it| submaps::motion(corrections[it].by))
+    };
+    let off = poses.iter().map(|(second, truth, reported)| {
+        (truth.translation.vector - (at(*second) * reported).translation.vector).norm()
+    });
+    off.fold(0.0, f64::max)
+}
+
+#[test]
+fn what_was_drawn_on_rounds_with_a_drift_comes_to_where_it_was() {
+    let (all, poses) = driven(2);
+    let before = off(&[], &poses);
+    let after = off(&all.placement(RobotId(3)).corrections, &poses);
+    println!("off by {before:.2} m when it was drawn, by {after:.2} m after it was moved");
+    assert!(before > 0.5 && after < 0.2, "{before} {after}");
+}
+
+#[test]
+fn where_nothing_is_wrong_nothing_moves() {
+    let (walls, mut truth, mut all) = (walls(), Motion::identity(), Trajectories::default());
+    for (second, (way, turn)) in (0u64..).zip(round()) {
+        all.add(RobotId(3), &view(&walls, &truth, &truth, second), truth, None, Some(truth));
+        all.advance();
+        all.solve(Millimetres(50));
+        truth *= Motion::new(Vector2::new(way, 0.0), turn.to_radians());
+    }
+    let moved: Vec<Correction> = all.placement(RobotId(3)).corrections;
+    assert!(moved.iter().all(|it| it.by == Pose::default()), "{moved:?}");
+    // A robot that stands for a day adds nothing.
+    let pieces = all.pieces.len();
+    for second in 1_000..2_000 {
+        all.add(RobotId(3), &view(&walls, &truth, &truth, second), truth, None, Some(truth));
+    }
+    assert!(all.pieces.len() <= pieces + 1, "{} {pieces}", all.pieces.len());
+}
+
+#[test]
+fn robots_that_come_and_go_leave_nothing_behind() {
+    let (walls, mut all) = (walls(), Trajectories::default());
+    for number in 0..4_000u16 {
+        let at = Motion::identity();
+        all.add(RobotId(number), &view(&walls, &at, &at, u64::from(number)), at, None, Some(at));
+        all.forget(RobotId(number));
+        all.settle();
+    }
+    assert!(all.robots.len() == all.pieces.len() && all.pieces.len() < 1_500);
+}
+
+#[test]
+fn settled_pieces_stay_where_they_are() {
+    let (mut all, _) = driven(1);
+    let (robot, before) = (RobotId(3), all.placement(RobotId(3)).corrections);
+    let walls = walls();
+    let there = all.newest(robot).unwrap();
+    // It drives to and fro until the oldest pieces are settled.
+    let mut second = 1_000;
+    while all.robots[&robot].settled.corrections.is_empty() {
+        let at = there * Motion::translation(if second % 2 == 0 { 0.0 } else { 0.1 }, 0.0);
+        all.add(robot, &view(&walls, &at, &at, second), at, None, None);
+        if second % 64 == 0 {
+            all.solve(Millimetres(50));
+        }
+        second += 1;
+    }
+    let after = all.placement(robot).corrections;
+    assert!(all.pieces.len() < 1_500);
+    let both = before.iter().zip(&after).take(40);
+    for (before, after) in both {
+        let moved = submaps::motion(before.by).inv_mul(&submaps::motion(after.by));
+        assert!(
+            before.since == after.since && is_within(&moved, (0.3, 0.1)),
+            "{before:?} {after:?}"
+        );
+    }
+    // What no cell needs is forgotten.
+    assert!(all.take_settled() && !all.take_settled());
+    let (first, drawn) = (after[0].since, after[7]);
+    all.thin(robot, &BTreeSet::from([first, drawn.since]));
+    let left = all.placement(robot).corrections;
+    assert_eq!(left[..2], [after[0], drawn]);
+    assert!(left.len() < after.len(), "{} {}", left.len(), after.len());
+}
