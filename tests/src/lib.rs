@@ -14,6 +14,7 @@ pub mod fuzz;
 pub mod lossy_network;
 pub mod per_ray;
 pub mod plain_map;
+pub mod plain_moved;
 pub mod port_fuzz;
 pub mod raw_robot;
 pub mod routes;

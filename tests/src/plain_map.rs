@@ -13,6 +13,8 @@ use ubimap_sim_host::{
     server::Server,
 };
 
+use crate::plain_moved::moved;
+
 const SIDE: i32 = TILE_SIDE as i32;
 /// Age at which a movable cell is forgotten, in seconds.
 const MOVABLE_S: i64 = 300;
@@ -22,7 +24,7 @@ const GRADE_S: i64 = 60;
 /// The claims of all robots, and the time by which the map ages.
 pub struct PlainMap<'s> {
     server: &'s Server,
-    layers: Vec<(Weight, BTreeMap<TileId, &'s SeenTile>)>,
+    layers: Vec<(Weight, BTreeMap<TileId, SeenTile>)>,
     /// The cells that cameras have seen free.
     free: &'s BTreeSet<(i32, i32)>,
     now_s: i64,
@@ -35,9 +37,7 @@ impl<'s> PlainMap<'s> {
         robots: &BTreeSet<RobotId>,
         free: &'s BTreeSet<(i32, i32)>,
     ) -> Self {
-        let layers = robots.iter().filter_map(|&robot| {
-            Some((server.weight(robot), server.layer(robot)?.tiles().collect()))
-        });
+        let layers = robots.iter().map(|&robot| (server.weight(robot), moved(server, robot)));
         // The time is a multiple of ten seconds.
         let now_s = server.map_time().next().micros() as i64 / 1_000_000 - 10;
         Self { server, layers: layers.collect(), free, now_s }

@@ -1,4 +1,4 @@
-//! Robots map real floor plans that cameras barely cover.
+//! Robots map real floor plans, of which cameras see little.
 //!
 //! `cargo plans` prints the table with eight robots and sixteen cameras; `UBIMAP_PLANS=office_b,lab_c` chooses plans,
 //! `UBIMAP_SEEDS=3` more seeds, and `UBIMAP_ROBOTS=4` four robots with six cameras. A plan takes some four minutes.

@@ -10,7 +10,7 @@ use super::registry::Registry;
 use crate::{
     camera::Calibration,
     grid::Label,
-    mapping::{CameraTile, CureRecord, TileRecord},
+    mapping::{CameraTile, CureRecord, Placement, TileRecord},
     server::coordination::{DrivableFloor, Settings},
 };
 
@@ -114,4 +114,6 @@ pub struct Kept {
     pub camera_tiles: Vec<CameraTile>,
     /// Progress of the robots' cures (corrections of their constant errors).
     pub cures: Vec<CureRecord>,
+    /// What is known of where robots were.
+    pub placements: Vec<(RobotId, Placement)>,
 }

@@ -6,7 +6,7 @@ use ubimap_protocol::{
 };
 
 use crate::{
-    mapping::{CameraTile, CureRecord, TileRecord},
+    mapping::{CameraTile, CureRecord, Placement, TileRecord},
     server::Server,
 };
 
@@ -16,7 +16,7 @@ const COMMIT_INTERVAL: Duration = Duration::from_millis(250);
 /// Maximum number of robots' tiles in a batch: 1.3 MB, so that writing a batch does not delay fixes
 /// for long.
 const MAX_TILES: usize = 256;
-/// Interval between batches of camera tiles. Longer than [`COMMIT_INTERVAL`], because cameras see
+/// Interval between batches of camera tiles and of placements. Longer than [`COMMIT_INTERVAL`], because cameras see
 /// most of these cells again after a restart.
 const CAMERA_INTERVAL: Duration = Duration::from_secs(10);
 /// Delay before a failed batch is written again.
@@ -31,6 +31,8 @@ pub struct Batch {
     pub clock: Instant,
     /// Tiles that cameras have seen.
     pub camera_tiles: Vec<CameraTile>,
+    /// What is known of where robots were: what has changed of it.
+    pub placements: Vec<(RobotId, Placement)>,
     /// Progress of cures (corrections of robots' constant errors). Before writing the tiles of this
     /// batch, delete the tiles of each record's robot in epochs below its `first_epoch`.
     pub cures: Vec<CureRecord>,
@@ -40,7 +42,10 @@ pub struct Batch {
 
 impl Batch {
     fn is_empty(&self) -> bool {
-        self.camera_tiles.is_empty() && self.cures.is_empty() && self.tiles.is_empty()
+        self.camera_tiles.is_empty()
+            && self.placements.is_empty()
+            && self.cures.is_empty()
+            && self.tiles.is_empty()
     }
 }
 
@@ -63,7 +68,8 @@ impl Keeping {
     /// When the next batch is due; `None` if there is nothing to write or a batch is being written.
     pub(super) fn poll_timeout(&self, server: &Server) -> Option<Instant> {
         let commit = server.has_unsaved().then_some(self.next_commit);
-        let camera_tiles = server.has_camera_tiles().then_some(self.next_camera_tiles);
+        let camera_tiles = (server.has_camera_tiles() || server.has_placements())
+            .then_some(self.next_camera_tiles);
         commit.into_iter().chain(camera_tiles).min().filter(|_| !self.is_writing)
     }
 
@@ -72,11 +78,17 @@ impl Keeping {
         if self.poll_timeout(server).is_none_or(|due| now < due) {
             return None;
         }
-        let mut batch =
-            Batch { clock: now, camera_tiles: Vec::new(), cures: Vec::new(), tiles: Vec::new() };
+        let mut batch = Batch {
+            clock: now,
+            camera_tiles: Vec::new(),
+            placements: Vec::new(),
+            cures: Vec::new(),
+            tiles: Vec::new(),
+        };
         if self.next_camera_tiles <= now {
             self.next_camera_tiles = now + CAMERA_INTERVAL;
             batch.camera_tiles = server.take_camera_tiles();
+            batch.placements = server.take_placements();
         }
         if self.next_commit <= now {
             self.next_commit = now + COMMIT_INTERVAL;
@@ -104,9 +116,10 @@ impl Keeping {
     pub(super) fn failed(&mut self, server: &mut Server, batch: &Batch, now: Instant) {
         self.is_writing = false;
         self.next_commit = now + RETRY_INTERVAL;
-        if !batch.camera_tiles.is_empty() {
+        if !batch.camera_tiles.is_empty() || !batch.placements.is_empty() {
             self.next_camera_tiles = now + RETRY_INTERVAL;
             server.camera_tiles_failed(&batch.camera_tiles);
+            server.placements_failed(&batch.placements);
         }
         batch.tiles.iter().for_each(|(robot, record)| server.store_failed(*robot, record));
     }

@@ -529,6 +529,9 @@ fn server(config: &Config, life: Life) -> Server {
         }
         kept.camera_tiles.iter().for_each(|tile| server.restore_camera_tile(tile));
         kept.cures.iter().for_each(|record| server.restore_cured(record));
+        kept.placements
+            .iter()
+            .for_each(|(robot, placement)| server.restore_placement(*robot, placement));
     }
     server
 }

@@ -34,6 +34,16 @@ pub struct SeenTile {
 impl SeenTile {
     /// A tile without observations.
     pub const NOTHING: Self = Self { tile: Tile::UNKNOWN, seconds: [0; TILE_CELLS as usize] };
+
+    /// Only those cells whose last reported change was at `second` or before; all others are unknown.
+    pub fn by(&self, second: u32) -> Tile {
+        let mut drawn = Tile::UNKNOWN;
+        for (cell, _) in self.seconds.iter().enumerate().filter(|(_, seen)| **seen <= second) {
+            let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
+            drawn.set(x, y, self.tile.cell(x, y));
+        }
+        drawn
+    }
 }
 
 /// A record on disk: a complete state of one epoch of a tile, or the joined cells of the tile's
@@ -282,19 +292,6 @@ impl RobotLayer {
     /// Epochs below this one are void.
     pub fn first_epoch(&self) -> Epoch {
         self.first_epoch
-    }
-
-    /// A tile with only those cells whose last reported change was at `second` or before; all
-    /// others are unknown.
-    pub fn drawn_by(&self, id: TileId, second: u32) -> Tile {
-        let mut drawn = Tile::UNKNOWN;
-        if let Some(SeenTile { tile, seconds }) = self.seen(id) {
-            for (cell, _) in seconds.iter().enumerate().filter(|(_, seen)| **seen <= second) {
-                let (x, y) = (cell % TILE_SIDE, cell / TILE_SIDE);
-                drawn.set(x, y, tile.cell(x, y));
-            }
-        }
-        drawn
     }
 
     /// The robot's observations of a tile.

@@ -46,6 +46,7 @@ impl Keeper {
             damaged_tiles: damaged_tiles.collect(),
             camera_tiles: store.camera_tiles()?,
             cures: store.cured()?,
+            placements: store.placements()?,
         };
         log::info!(
             "restored {} robot tiles and {} camera tiles",
@@ -103,6 +104,9 @@ impl Keeper {
         }
         for cure in &batch.cures {
             self.store.cure(cure)?;
+        }
+        if !batch.placements.is_empty() {
+            self.store.keep_placements(&batch.placements, batch.clock)?;
         }
         if !batch.tiles.is_empty() {
             self.store.keep(&batch.tiles, batch.clock)?;

@@ -297,7 +297,7 @@ impl Server {
 
     /// Acts on the messages that were received from the robot at a port.
     fn taken(&mut self, (port, robot): (usize, RobotId), taken: Taken, now: Instant) {
-        self.map.changed(&taken.updated.tiles);
+        self.map.drew(robot, &taken.updated.tiles);
         self.damaged.came(robot, &taken.updated.complete);
         if let Some(limit) = taken.updated.refused
             && self.exceeded.insert((robot, limit))
@@ -329,6 +329,7 @@ impl Server {
         if let Some(record) = self.corrections.advance(session, &self.map, is_held_up, now) {
             let retired = self.map.retire(robot, record.first_epoch);
             self.unsaved.folded(robot, &retired.folded);
+            self.corrections.void(robot, &mut self.map, self.terms.resolution);
             if !retired.tiles.is_empty() {
                 self.voided.add(&retired.tiles);
             }
@@ -456,6 +457,7 @@ impl Server {
         if let Some(session) = waiting.and_then(|robot| self.ports.session_mut(robot)) {
             self.corrections.look(session, &mut self.map, self.terms.resolution, now);
         }
+        self.corrections.follow(&mut self.map, self.terms.resolution, now);
         self.dispatch(now);
     }
 
@@ -521,9 +523,10 @@ impl Server {
     fn poll_common_timeout(&self, now: Instant) -> Option<Instant> {
         let dispatch = self.dispatch.as_ref().map(Dispatch::poll_timeout);
         let waiting = self.corrections.has_waiting().then_some(now);
+        let follow = self.corrections.poll_follow(now);
         let damaged = self.damaged.poll_timeout();
         let map = [self.coverage.poll_timeout(), self.map.poll_timeout()];
-        let all = map.into_iter().chain([dispatch, waiting, damaged]);
+        let all = map.into_iter().chain([dispatch, waiting, follow, damaged]);
         all.flatten().min()
     }
 

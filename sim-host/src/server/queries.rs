@@ -20,7 +20,8 @@ use super::{
 };
 use crate::{
     mapping::{
-        ConstantErrors, MapTime, Mask, PriorLayer, RobotLayer, ServedLayer, Volatility, Weight,
+        ConstantErrors, MapTime, Mask, Placement, PriorLayer, RobotLayer, SeenTile, ServedLayer,
+        Volatility, Weight,
     },
     perception::{Footprint, robots::SightingEvent},
 };
@@ -40,6 +41,21 @@ impl Server {
     /// A robot's layer.
     pub fn layer(&self, robot: RobotId) -> Option<&RobotLayer> {
         self.map.layer(robot)
+    }
+
+    /// What is known of where a robot was; `None` if it always was where it believed.
+    pub fn placement(&self, robot: RobotId) -> Option<&Placement> {
+        self.map.placement(robot)
+    }
+
+    /// Whether what robots have drawn may have to move.
+    pub fn is_moving(&self) -> bool {
+        self.corrections.poll_follow(Instant(0)).is_some()
+    }
+
+    /// What a robot has drawn of a tile, where it belongs.
+    pub fn drawn(&self, robot: RobotId, id: TileId) -> Option<&SeenTile> {
+        self.map.drawn(robot, id)
     }
 
     /// The epoch of the server's own layers.

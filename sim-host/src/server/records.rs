@@ -6,7 +6,7 @@ use ubimap_protocol::{
 };
 
 use super::Server;
-use crate::mapping::{CameraTile, CureRecord, TileRecord};
+use crate::mapping::{CameraTile, CureRecord, Placement, TileRecord};
 
 impl Server {
     /// The next state of a robot's tile to write, if the server has a store (`stores` in its
@@ -65,6 +65,29 @@ impl Server {
     /// Whether [`Server::take_camera_tiles`] would return anything.
     pub fn has_camera_tiles(&self) -> bool {
         self.terms.stores && self.map.has_unkept()
+    }
+
+    /// Takes the robots' placements that have changed since the last call, to be written. Not urgent: every few seconds
+    /// is enough.
+    #[must_use]
+    pub fn take_placements(&mut self) -> Vec<(RobotId, Placement)> {
+        self.map.take_unkept_placements()
+    }
+
+    /// Call this if these could not be written. [`Server::take_placements`] hands them out again.
+    pub fn placements_failed(&mut self, placements: &[(RobotId, Placement)]) {
+        self.map.not_kept_placements(placements.iter().map(|(robot, _)| *robot));
+    }
+
+    /// Whether [`Server::take_placements`] would return anything.
+    pub fn has_placements(&self) -> bool {
+        self.terms.stores && self.map.has_unkept_placements()
+    }
+
+    /// Restores a robot's placement of an earlier run, after its tiles.
+    pub fn restore_placement(&mut self, robot: RobotId, placement: &Placement) {
+        self.corrections.restore_placement(robot, placement);
+        self.map.place(robot, placement.clone(), self.terms.resolution);
     }
 
     /// Restores a record of an earlier run of the server. The records of a tile must come in the

@@ -6,14 +6,15 @@ use ubimap_protocol::{
     message::DistanceVector,
     tile::{Epoch, Tile, TileId},
     time::Instant,
-    units::{Millimetres, RobotId},
+    units::{Millimetres, Pose, RobotId},
 };
 
 use crate::{
     camera::Observation,
     mapping::{
-        Agreements, CameraLayer, CameraTile, MapTime, Mask, PriorLayer, RobotLayer, SeenTile,
-        ServedLayer, Sight, TileRecord, Updated, Volatility, Weight, clear, fuse, hollow,
+        Agreements, CameraLayer, CameraTile, MapTime, Mask, PlacedLayer, Placement, PriorLayer,
+        RobotLayer, SeenTile, ServedLayer, Sight, TileRecord, Updated, Volatility, Weight, clear,
+        fuse, hollow,
     },
     timing::ROBOT_GONE,
 };
@@ -28,6 +29,10 @@ const COMMON: usize = 64 << 20;
 pub(super) struct SharedMap {
     cameras: CameraLayer,
     layers: BTreeMap<RobotId, RobotLayer>,
+    /// Where what robots have drawn belongs, if that is known better.
+    placed: BTreeMap<RobotId, PlacedLayer>,
+    /// Robots of which that has changed since it was stored.
+    unkept_placements: BTreeSet<RobotId>,
     agreements: Agreements,
     /// Weights in the current step of the map's time; robots without an entry have the full weight.
     weights: BTreeMap<RobotId, Weight>,
@@ -94,10 +99,13 @@ impl SharedMap {
         robot: RobotId,
         barrier: Option<Epoch>,
     ) -> &mut RobotLayer {
+        let moved = |robot: &RobotId| self.placed.get(robot).map_or(0, PlacedLayer::memory);
         let others = self.layers.iter().filter(|(other, _)| **other != robot);
-        let used: usize = others.map(|(_, layer)| layer.memory().saturating_sub(SHARE)).sum();
+        let used = others.map(|(it, layer)| (layer.memory() + moved(it)).saturating_sub(SHARE));
+        let limit = SHARE + COMMON.saturating_sub(used.sum());
+        let limit = limit.saturating_sub(moved(&robot));
         let layer = self.layer_mut(robot);
-        layer.set_limit(SHARE + COMMON.saturating_sub(used));
+        layer.set_limit(limit);
         layer.set_barrier(barrier);
         layer
     }
@@ -108,6 +116,7 @@ impl SharedMap {
         let is_idle = self.layers.get(&robot).is_some_and(is_empty);
         if is_idle {
             self.layers.remove(&robot);
+            self.placed.remove(&robot);
             self.weights.remove(&robot);
             self.agreements.forget(robot);
         }
@@ -144,10 +153,64 @@ impl SharedMap {
         self.fused_with(&self.cameras.seen(id), robot, id)
     }
 
+    /// What a robot has drawn of a tile, where it belongs.
+    pub(super) fn drawn(&self, robot: RobotId, id: TileId) -> Option<&SeenTile> {
+        match self.placed.get(&robot) {
+            Some(placed) => placed.tile(id),
+            None => self.layers.get(&robot)?.seen(id),
+        }
+    }
+
+    /// The seconds in which the cells were drawn that a robot has drawn.
+    pub(super) fn seconds(&self, robot: RobotId) -> BTreeSet<u32> {
+        let tiles = self.layers.get(&robot).into_iter().flat_map(RobotLayer::tiles);
+        tiles.flat_map(|(_, seen)| seen.seconds).collect()
+    }
+
+    /// What is known of where a robot was; `None` if it always was where it believed.
+    pub(super) fn placement(&self, robot: RobotId) -> Option<&Placement> {
+        self.placed.get(&robot).map(PlacedLayer::placement)
+    }
+
+    /// Puts what a robot has drawn where it belongs. Nothing changes until the first robot was wrong; from then on the
+    /// ground that others saw counts as well, as they don't report what the map has.
+    pub(super) fn place(&mut self, robot: RobotId, placement: Placement, resolution: Millimetres) {
+        let Some(layer) = self.layers.get(&robot) else { return };
+        let is_first = !self.placed.contains_key(&robot);
+        let is_right = placement.corrections.iter().all(|it| it.by == Pose::default());
+        if self.placed.is_empty() && is_right {
+            return;
+        }
+        let placed = self.placed.entry(robot).or_insert_with(|| PlacedLayer::new(resolution));
+        self.unkept_placements.extend((*placed.placement() != placement).then_some(robot));
+        let mut changed = placed.place(placement, layer);
+        if is_first {
+            changed.extend(layer.tiles().map(|(id, _)| id));
+        }
+        self.changed(&changed);
+    }
+
+    /// Returns the robots' placements that have changed since the last call.
+    pub(super) fn take_unkept_placements(&mut self) -> Vec<(RobotId, Placement)> {
+        let robots = core::mem::take(&mut self.unkept_placements);
+        let placement = |robot| Some((robot, self.placement(robot)?.clone()));
+        robots.into_iter().filter_map(placement).collect()
+    }
+
+    /// Marks what [`SharedMap::take_unkept_placements`] has returned of these robots as not stored.
+    pub(super) fn not_kept_placements(&mut self, robots: impl Iterator<Item = RobotId>) {
+        self.unkept_placements.extend(robots);
+    }
+
+    /// Whether [`SharedMap::take_unkept_placements`] would return anything.
+    pub(super) fn has_unkept_placements(&self) -> bool {
+        !self.unkept_placements.is_empty()
+    }
+
     fn fused_with(&self, cameras: &SeenTile, robot: Option<RobotId>, id: TileId) -> Tile {
         let others = self.layers.iter().filter(|(other, _)| Some(**other) != robot);
         let others: Vec<(Weight, &SeenTile)> = others
-            .filter_map(|(&other, layer)| Some((self.weight(other), layer.seen(id)?)))
+            .filter_map(|(&other, _)| Some((self.weight(other), self.drawn(other, id)?)))
             .collect();
         fuse(cameras, &others, self.priors.get(id), self.time)
     }
@@ -178,7 +241,7 @@ impl SharedMap {
     /// epochs that were closed.
     pub(super) fn retire(&mut self, robot: RobotId, first_epoch: Epoch) -> Updated {
         let retired = self.layer_mut(robot).retire(first_epoch);
-        self.changed(&retired.tiles);
+        self.drew(robot, &retired.tiles);
         retired
     }
 
@@ -196,7 +259,7 @@ impl SharedMap {
         record: &TileRecord,
     ) -> BTreeSet<(TileId, Epoch)> {
         let restored = self.layer_mut(robot).restore(record);
-        self.changed(&restored.tiles);
+        self.drew(robot, &restored.tiles);
         restored.folded
     }
 
@@ -222,10 +285,21 @@ impl SharedMap {
         self.cameras.has_unkept()
     }
 
+    /// Fuses the given tiles again, which a robot has changed in its layer.
+    pub(super) fn drew(&mut self, robot: RobotId, ids: &BTreeSet<TileId>) {
+        match (self.placed.get_mut(&robot), self.layers.get(&robot)) {
+            (Some(placed), Some(layer)) => {
+                let changed = placed.drawn(ids, layer);
+                self.changed(&changed);
+            }
+            _ => self.changed(ids),
+        }
+    }
+
     /// Fuses the given tiles again after a change of a layer.
     pub(super) fn changed(&mut self, ids: &BTreeSet<TileId>) {
         for &id in ids {
-            if self.layers.values().any(|layer| layer.seen(id).is_some()) {
+            if self.layers.keys().any(|robot| self.drawn(*robot, id).is_some()) {
                 self.unweighed.insert(id);
             }
             self.fuse(id);
@@ -326,9 +400,11 @@ impl SharedMap {
         bared.into_iter().for_each(|id| self.publish(id));
         let mut other = core::mem::take(&mut self.ageing);
         for id in core::mem::take(&mut self.unweighed) {
-            let robots = self.layers.iter();
+            let robots = self.layers.keys();
+            let robots: Vec<(RobotId, Tile)> =
+                robots.filter_map(|&robot| Some((robot, self.drawn(robot, id)?.tile))).collect();
             let robots: Vec<(RobotId, &Tile)> =
-                robots.filter_map(|(&robot, layer)| Some((robot, &layer.seen(id)?.tile))).collect();
+                robots.iter().map(|(robot, tile)| (*robot, tile)).collect();
             self.agreements.count(id, &self.cameras.tile(id), &robots);
         }
         let mut disagree = Vec::new();
@@ -336,7 +412,10 @@ impl SharedMap {
             let weight = self.agreements.weight(robot);
             let last = self.weights.insert(robot, weight).unwrap_or(Weight::FULL);
             if weight != last {
-                other.extend(layer.tiles().map(|(id, _)| id));
+                match self.placed.get(&robot) {
+                    Some(placed) => other.extend(placed.tiles()),
+                    None => other.extend(layer.tiles().map(|(id, _)| id)),
+                }
                 disagree.extend((last == Weight::FULL).then_some(robot));
             }
         }

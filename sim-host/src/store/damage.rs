@@ -20,6 +20,8 @@ pub enum Damage {
     CameraTile(TileId),
     /// The progress of a robot's cure (the correction of its constant errors).
     Cure(RobotId),
+    /// What is known of where a robot was. What it has drawn stays where it drew it.
+    Placement(RobotId),
     /// SQLite's log. The newest records may be missing.
     Log,
     /// A row whose key can't be read.
@@ -46,6 +48,11 @@ impl fmt::Display for Damage {
             Self::Cure(robot) => write!(
                 f,
                 "the corrected errors of robot {} are damaged and left out; they are estimated again",
+                robot.0
+            ),
+            Self::Placement(robot) => write!(
+                f,
+                "the places of what robot {} has drawn are damaged and left out; it stays where it was drawn",
                 robot.0
             ),
             Self::Log => f.write_str(
@@ -82,6 +89,11 @@ impl Damage {
     pub(super) fn cure(key: &[Value]) -> Self {
         let [robot] = key else { return Self::Unknown };
         read(robot).map_or(Self::Unknown, |robot| Self::Cure(RobotId(robot)))
+    }
+
+    pub(super) fn placement(key: &[Value]) -> Self {
+        let [robot] = key else { return Self::Unknown };
+        read(robot).map_or(Self::Unknown, |robot| Self::Placement(RobotId(robot)))
     }
 }
 

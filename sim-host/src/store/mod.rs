@@ -4,12 +4,13 @@
 //! The table `server` has one row. `tile` has one row per robot, tile and epoch, at most three for
 //! each tile of a robot: its closed epochs are joined in one row with version 0. `seen` has one row
 //! per robot and tile, with the time at which each cell was last reported. `camera` has one row per
-//! tile seen by cameras, and `cured` one per robot whose correction has begun. Each row has a
-//! checksum. Only one process at a time can open the file.
+//! tile seen by cameras, `cured` one per robot whose correction has begun, and `placement` one per robot that
+//! was found to have drawn at wrong poses. Each row has a checksum. Only one process at a time can open the file.
 //!
 //! | file | content |
 //! |---|---|
 //! | `schema` | the tables; opening, upgrading and checking a file |
+//! | `placement` | the bytes of a robot's corrections and of the ground that it saw |
 //! | `rows`, `damage` | rows with checksums, and those that were damaged |
 //! | `log` | damage of SQLite's log |
 //! | `lock`, `presence` | exclusive use, and checks that the files are still there |
@@ -21,6 +22,7 @@ mod damage;
 mod error;
 mod lock;
 mod log;
+mod placement;
 mod presence;
 mod rows;
 mod schema;
@@ -31,7 +33,7 @@ use std::{
 };
 
 use presence::Presence;
-use rows::{CAMERA, CURED, SEEN, TILE};
+use rows::{CAMERA, CURED, PLACEMENT, SEEN, TILE};
 use rusqlite::{Connection, Row, Transaction, types::ValueRef};
 use schema::{Opened, ServerRow};
 use ubimap_protocol::{
@@ -44,7 +46,7 @@ pub use backup::backup;
 pub use damage::Damage;
 pub use error::{StoreError, Trouble};
 
-use crate::mapping::{CameraTile, CureRecord, Cured, SeenTile, TileRecord};
+use crate::mapping::{CameraTile, CureRecord, Cured, Placement, SeenTile, TileRecord};
 
 /// Bytes of a stored tile: the rows of its low plane, then those of its high plane, little-endian.
 const TILE_LEN: usize = 8 * TILE_SIDE;
@@ -140,6 +142,17 @@ impl Store {
         })
     }
 
+    /// Reads what is known of where robots were.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub fn placements(&self) -> Result<Vec<(RobotId, Placement)>, StoreError> {
+        self.select("SELECT robot, corrections, ground FROM placement ORDER BY robot", |row| {
+            let (corrections, ground): (Vec<u8>, Vec<u8>) = (row.get(1)?, row.get(2)?);
+            Ok((RobotId(row.get(0)?), placement::read(&corrections, &ground)))
+        })
+    }
+
     fn select<T>(
         &self,
         statement: &str,
@@ -205,6 +218,24 @@ impl Store {
                 is_over.into(),
             ];
             CURED.write(transaction, row)
+        })
+    }
+
+    /// Replaces the placements of these robots in one transaction. `now` is by the server's clock.
+    ///
+    /// # Errors
+    /// [`StoreError`]. The file is unchanged, unless it is [gone](Trouble::Gone).
+    pub fn keep_placements(
+        &mut self,
+        placements: &[(RobotId, Placement)],
+        now: Instant,
+    ) -> Result<(), StoreError> {
+        self.write(self.server_at(now), |transaction| {
+            placements.iter().try_for_each(|(robot, it)| {
+                let [corrections, ground] = placement::bytes(it);
+                PLACEMENT
+                    .write(transaction, vec![robot.0.into(), corrections.into(), ground.into()])
+            })
         })
     }
 

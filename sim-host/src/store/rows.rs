@@ -39,8 +39,11 @@ pub(super) const CURED: Table = Table {
     rest: &["first_epoch", "identifier_deg", "sensor_deg", "is_over"],
 };
 
+pub(super) const PLACEMENT: Table =
+    Table { name: "placement", key: &["robot"], rest: &["corrections", "ground"] };
+
 /// All tables.
-pub(super) const ALL: [&Table; 5] = [&SERVER, &TILE, &SEEN, &CAMERA, &CURED];
+pub(super) const ALL: [&Table; 6] = [&SERVER, &TILE, &SEEN, &CAMERA, &CURED, &PLACEMENT];
 
 impl Table {
     fn columns(&self) -> impl Iterator<Item = &'static str> {

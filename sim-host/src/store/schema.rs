@@ -14,13 +14,13 @@ use super::{
     damage::Damage,
     lock::lock,
     log,
-    rows::{self, CAMERA, CURED, SEEN, SERVER, TILE},
+    rows::{self, CAMERA, CURED, PLACEMENT, SEEN, SERVER, TILE},
 };
 
 /// SQLite application id: "ubim".
 pub(super) const APPLICATION_ID: i32 = 0x7562_696D;
 /// Version of the tables.
-pub(super) const SCHEMA: i32 = 4;
+pub(super) const SCHEMA: i32 = 5;
 /// No robot reaches this epoch. Earlier versions of the server accepted tiles of this epoch or
 /// later ones. These are deleted when the file is opened, because no epochs would be left for the
 /// robot's new tiles.
@@ -74,6 +74,16 @@ const TABLES_4: &str = "
     ALTER TABLE seen ADD COLUMN crc INTEGER NOT NULL DEFAULT 0;
     ALTER TABLE camera ADD COLUMN crc INTEGER NOT NULL DEFAULT 0;
     ALTER TABLE cured ADD COLUMN crc INTEGER NOT NULL DEFAULT 0;
+";
+
+/// Added by schema 5; older files are upgraded when opened.
+const TABLES_5: &str = "
+    CREATE TABLE placement (
+        robot INTEGER PRIMARY KEY,
+        corrections BLOB NOT NULL,
+        ground BLOB NOT NULL,
+        crc INTEGER NOT NULL DEFAULT 0
+    ) STRICT;
 ";
 
 /// Timeout for another process that reads or closes the file.
@@ -202,15 +212,18 @@ fn prepare(transaction: &Transaction<'_>, resolution: Millimetres) -> Result<(),
     }
     let missing: &[&str] = match number(transaction, "user_version")? {
         SCHEMA => return Ok(()),
-        3 => &[TABLES_4],
-        2 => &[TABLES_3, TABLES_4],
-        1 => &[TABLES_2, TABLES_3, TABLES_4],
+        4 => &[TABLES_5],
+        3 => &[TABLES_4, TABLES_5],
+        2 => &[TABLES_3, TABLES_4, TABLES_5],
+        1 => &[TABLES_2, TABLES_3, TABLES_4, TABLES_5],
         schema => return Err(Trouble::Schema(schema)),
     };
-    // Rows of earlier versions have no checksums, so only this check can detect damage.
+    // Rows of the first versions have no checksums, so only this check can detect damage.
     check_pages(transaction)?;
     missing.iter().try_for_each(|tables| transaction.execute_batch(tables))?;
-    rows::ALL.iter().try_for_each(|table| table.seal(transaction))?;
+    if missing.contains(&TABLES_4) {
+        rows::ALL.iter().try_for_each(|table| table.seal(transaction))?;
+    }
     Ok(transaction.pragma_update(None, "user_version", SCHEMA)?)
 }
 
@@ -241,6 +254,7 @@ fn remove_damaged(transaction: &Transaction<'_>) -> Result<Vec<Damage>, Trouble>
         (&SEEN, Damage::times),
         (&CAMERA, Damage::camera_tile),
         (&CURED, Damage::cure),
+        (&PLACEMENT, Damage::placement),
     ] {
         damage.extend(table.remove_damaged(transaction)?.iter().map(|key| kind(key)));
     }

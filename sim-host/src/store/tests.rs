@@ -1,9 +1,13 @@
 mod backup;
 mod damage;
 
+use std::collections::BTreeMap;
+
+use ubimap_protocol::units::{Angle, Pose};
+
 use super::schema::END_OF_EPOCHS;
 use super::*;
-use crate::testing::Folder;
+use crate::{mapping::Correction, testing::Folder};
 
 const CELLS: Millimetres = Millimetres(50);
 
@@ -18,6 +22,15 @@ pub(super) fn record(x: i16, epoch: u32, version: u32) -> TileRecord {
         known: Tile { low: cells.high, high: cells.low },
         seconds: core::array::from_fn(|cell| cell as u32 * version),
     }
+}
+
+/// By how much a robot was off in two seconds, and what it saw.
+fn placement(robot: u16, x: i32) -> (RobotId, Placement) {
+    let by = Pose { x: Millimetres(x), y: Millimetres(-4), heading: Angle(65_000) };
+    let later = Correction { since: 70_000, by: Pose::default() };
+    let ground = BTreeMap::from([(TileId { x: -3, y: 7 }, [0xF000_0001; TILE_SIDE])]);
+    let corrections = vec![Correction { since: 3, by }, later];
+    (RobotId(robot), Placement { corrections, ground })
 }
 
 fn cure(taken_out: f64) -> CureRecord {
@@ -93,6 +106,8 @@ fn camera_tiles_and_cures_are_read_in_the_next_life() {
     store.keep(&[(robot, record(0, 4, 1)), (robot, record(0, 5, 1))], Instant(0)).unwrap();
     store.cure(&begun).unwrap();
     assert_eq!(store.cured().unwrap(), [begun]);
+    store.keep_placements(&[placement(1, 5), placement(2, 6)], Instant(9)).unwrap();
+    store.keep_placements(&[placement(1, 7)], Instant(9)).unwrap();
     store.cure(&cure(3.0)).unwrap();
     store.keep_camera_tiles(&[seen(2, 1), seen(-1, 2)], Instant(8)).unwrap();
     store.keep_camera_tiles(&[seen(2, 3)], Instant(9)).unwrap();
@@ -102,6 +117,7 @@ fn camera_tiles_and_cures_are_read_in_the_next_life() {
     assert_eq!(store.clock(), Instant(9));
     assert_eq!(store.camera_tiles().unwrap(), [seen(-1, 2), seen(2, 3)]);
     assert_eq!(store.cured().unwrap(), [cure(3.0)]);
+    assert_eq!(store.placements().unwrap(), [placement(1, 7), placement(2, 6)]);
     assert_eq!(store.records().unwrap(), [(robot, record(0, 5, 1))]);
 }
 
@@ -109,7 +125,7 @@ fn camera_tiles_and_cures_are_read_in_the_next_life() {
 const WITHOUT_SUMS: &str = "
     ALTER TABLE server DROP COLUMN crc; ALTER TABLE tile DROP COLUMN crc;
     ALTER TABLE seen DROP COLUMN crc; ALTER TABLE camera DROP COLUMN crc;
-    ALTER TABLE cured DROP COLUMN crc; PRAGMA user_version = 3;";
+    ALTER TABLE cured DROP COLUMN crc; DROP TABLE placement; PRAGMA user_version = 3;";
 
 #[test]
 fn files_of_earlier_schemas_are_upgraded() {
@@ -170,8 +186,8 @@ fn files_of_other_programs_and_maps_are_refused_unchanged() {
     drop(Store::open(&path, CELLS).unwrap());
     let cells = refused(&path, Millimetres(100));
     assert!(cells.contains("cells of 0.05 m, but this run uses 0.1 m"), "{cells}");
-    Connection::open(&path).unwrap().pragma_update(None, "user_version", 5).unwrap();
-    assert!(refused(&path, CELLS).contains("schema 5, this one has 4"));
+    Connection::open(&path).unwrap().pragma_update(None, "user_version", 6).unwrap();
+    assert!(refused(&path, CELLS).contains("schema 6, this one has 5"));
 
     assert!(refused(folder.path(), CELLS).contains("can't be opened"));
     assert!(refused(&folder.path().join("no/map.db"), CELLS).contains("folder"));
@@ -188,6 +204,7 @@ fn damage_is_reported() {
         store.keep(&[(RobotId(1), record(0, 1, 1))], Instant(0)).unwrap();
         store.keep_camera_tiles(&[seen(0, 1)], Instant(0)).unwrap();
         store.cure(&cure(1.0)).unwrap();
+        store.keep_placements(&[placement(9, 3)], Instant(0)).unwrap();
         store.connection.execute_batch(statement).unwrap();
         drop(store);
         match Store::open(&path, CELLS) {
@@ -208,6 +225,8 @@ fn damage_is_reported() {
         ("UPDATE camera SET x = 32768", Damage::Unknown),
         ("UPDATE cured SET first_epoch = -1", Damage::Cure(RobotId(7))),
         ("UPDATE cured SET identifier_deg = 1.5", Damage::Cure(RobotId(7))),
+        ("UPDATE placement SET corrections = x'00'", Damage::Placement(RobotId(9))),
+        ("UPDATE placement SET robot = 65536", Damage::Unknown),
     ] {
         assert_eq!(spoilt(statement), format!("{:?}", [damage]), "{statement}");
         let store = Store::open(&path, CELLS).unwrap();
@@ -216,8 +235,9 @@ fn damage_is_reported() {
             store.records().unwrap().len(),
             store.camera_tiles().unwrap().len(),
             store.cured().unwrap().len(),
+            store.placements().unwrap().len(),
         ];
-        let left = if statement.contains("seen") { 3 } else { 2 };
+        let left = if statement.contains("seen") { 4 } else { 3 };
         assert_eq!(counts.iter().sum::<usize>(), left, "{statement}");
     }
     for statement in [

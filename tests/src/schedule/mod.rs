@@ -2,7 +2,7 @@
 //! schedule, once the links are restored and nothing new is mapped, all maps must converge within a
 //! time limit.
 
-use std::fmt;
+use std::{collections::BTreeSet, fmt};
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -128,7 +128,7 @@ pub struct Ending {
     pub retransmissions: u32,
     /// Tiles evicted by the robots since their last boots.
     pub evicted: u32,
-    /// Number of known cells in the final map.
+    /// Number of cells that robots have told, summed over the robots.
     pub known: u32,
 }
 
@@ -452,8 +452,11 @@ impl Schedule {
             level = Err(why);
         }
         let robots = || star.members.iter().filter_map(|member| member.robot());
-        let known = star.server().fused().tiles().map(|(.., tile)| {
-            let (free, occupied, movable) = tile.counts();
+        let ids: BTreeSet<RobotId> = star.members.iter().map(|member| member.id).collect();
+        let layers = ids.into_iter().filter_map(|robot| star.server().layer(robot));
+        let tiles = layers.flat_map(|layer| layer.tiles());
+        let known = tiles.map(|(_, seen)| {
+            let (free, occupied, movable) = seen.tile.counts();
             free + occupied + movable
         });
         Ending {

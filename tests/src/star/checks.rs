@@ -19,6 +19,9 @@ use crate::{disk::Disk, plain_map::PlainMap};
 impl<'b> Star<'b> {
     /// Why the robots' maps have not converged yet; `None` if they have.
     pub fn behind(&self) -> Option<String> {
+        if self.server.is_moving() {
+            return Some("what robots have drawn still moves".into());
+        }
         self.members.iter().find_map(|member| {
             let robot = member.robot.as_ref()?;
             let why = self.behind_at(member, robot)?;
@@ -111,12 +114,16 @@ impl<'b> Star<'b> {
             let held = self.server.layer(member.id).and_then(|layer| layer.held(id, tile.epoch()));
             let layers = self.members.iter().filter_map(|it| self.server.layer(it.id)?.seen(id));
             let layers: Vec<&Tile> = layers.map(|seen| &seen.tile).collect();
+            let put = self.checked.put.get(&id).copied().unwrap_or_default();
             for (x, y) in (0..TILE_SIDE).flat_map(|y| (0..TILE_SIDE).map(move |x| (x, y))) {
                 let known = known.cell(x, y);
                 let held = held.map_or(Cell::Unknown, |(_, cells)| cells.cell(x, y));
                 let is_told = match held {
-                    // A robot does not report a cell that the map already has.
-                    Cell::Unknown => layers.iter().any(|it| it.cell(x, y) != Cell::Unknown),
+                    // A robot does not report a cell that the map already has, or had while it was believed to be there.
+                    Cell::Unknown => {
+                        layers.iter().any(|it| it.cell(x, y) != Cell::Unknown)
+                            || put[y] >> x & 1 == 1
+                    }
                     held => known == held,
                 };
                 if known != Cell::Unknown && !is_told {
@@ -211,6 +218,14 @@ impl<'b> Star<'b> {
             }
         }
         changed.into_iter().for_each(|id| self.check_fused(id));
+        for robot in self.robots() {
+            let Some(_) = self.server.placement(robot) else { continue };
+            for (id, ..) in self.server.fused().tiles() {
+                let Some(seen) = self.server.drawn(robot, id) else { continue };
+                let put = self.checked.put.entry(id).or_default();
+                put.iter_mut().enumerate().for_each(|(y, row)| *row |= seen.tile.row(y).known());
+            }
+        }
     }
 
     fn check_fused(&self, id: TileId) {
@@ -226,7 +241,9 @@ impl<'b> Star<'b> {
         hollow(&mut expected, &unseen, |east, north| Some((beside.get(&(east, north))?, &unseen)));
         clear(&mut expected, &self.server.under(id));
         let found = self.server.fused().get(id).map(|(_, tile)| tile);
-        assert!(found == Some(&expected), "{id:?} is not what the layers make");
+        // What is drawn may belong elsewhere at once, and its tile is never made.
+        let found = found.copied().unwrap_or(Tile::UNKNOWN);
+        assert!(found == expected, "{id:?} is not what the layers make");
     }
 
     /// The fusion of all robots' layers in a tile, and the free ground that cameras have seen where no
@@ -236,7 +253,7 @@ impl<'b> Star<'b> {
         let robots = self.robots();
         let layers = robots
             .iter()
-            .filter_map(|&robot| Some((server.weight(robot), server.layer(robot)?.seen(id)?)));
+            .filter_map(|&robot| Some((server.weight(robot), server.drawn(robot, id)?)));
         let layers: Vec<_> = layers.collect();
         let mut whole = fuse(&SeenTile::NOTHING, &layers, None, server.map_time());
         let side = TILE_SIDE as i32;

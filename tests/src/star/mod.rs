@@ -18,7 +18,7 @@ use ubimap_protocol::{
 };
 use ubimap_sim_host::{
     camera::{Observation, Sighting},
-    mapping::{CureRecord, Cured, RobotLayer, SeenTile},
+    mapping::{CureRecord, Cured, Mask, RobotLayer, SeenTile},
     run::heap::Heap,
     server::{Command, CommandError, Policy, Server},
 };
@@ -150,6 +150,8 @@ pub struct Star<'b> {
 #[derive(Debug, Default)]
 struct Checked {
     layers: BTreeMap<(RobotId, TileId), SeenTile>,
+    /// The cells where anything that robots have drawn has ever been put, since it was found that they were off.
+    put: BTreeMap<TileId, Mask>,
     first_epochs: BTreeMap<RobotId, Epoch>,
     ports: BTreeMap<usize, Counters>,
 }

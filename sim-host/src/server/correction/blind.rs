@@ -19,7 +19,8 @@ use super::{
 use crate::{
     mapping::{
         Match, Prior, Search, Surfaces, Trail,
-        submaps::{self, Motion, motion},
+        submaps::{self, Motion, View, motion},
+        trajectories::{Step, Trajectories},
     },
     server::{shared_map::SharedMap, surroundings::Place},
 };
@@ -60,6 +61,8 @@ pub(super) struct BlindTrip {
     turned: f64,
     /// `None` once the robot was found after it booted.
     booted: Option<Booted>,
+    /// Whether no view was added yet.
+    is_new: bool,
 }
 
 impl BlindTrip {
@@ -77,6 +80,7 @@ impl BlindTrip {
             way_mm: 1_000.0 * metres,
             turned: 0.0,
             booted: None,
+            is_new: true,
         }
     }
 
@@ -95,6 +99,7 @@ impl BlindTrip {
     /// pose is still accurate.
     pub(super) fn remember(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
         if self.booted.is_none() {
+            self.is_new = false;
             (self.at, self.reported) = (motion(pose), Reported::seen_at(pose));
             self.trail.add(pose, points, resolution);
         }
@@ -109,13 +114,14 @@ impl BlindTrip {
         points: &[[f64; 2]],
         (map, resolution): (&SharedMap, Millimetres),
         scale: &mut TurnScale,
+        mut trajectories: Option<&mut Trajectories>,
     ) -> Option<Match> {
         let settled = ((vector.time.micros() / 1_000_000) as u32).saturating_sub(OWN_AGE);
         let reach = reach(points);
         let drawn = |id| {
             let mut tile = map.without(Some(robot), id);
-            if let Some(own) = map.layer(robot) {
-                tile.fill_unknown_from(&own.drawn_by(id, settled));
+            if let Some(own) = map.drawn(robot, id) {
+                tile.fill_unknown_from(&own.by(settled));
             }
             tile
         };
@@ -126,6 +132,9 @@ impl BlindTrip {
             let surfaces = surfaces(vector.pose, reach + SOUGHT);
             let found = booted.find(&surfaces, points, vector.pose)?;
             self.begin_at(&found);
+            if let Some(trajectories) = trajectories {
+                trajectories.found(robot, &View::of(vector), self.at);
+            }
             self.trail.add(found.pose, points, resolution);
             return Some(found);
         }
@@ -134,7 +143,14 @@ impl BlindTrip {
         let near = |trail: &Trail, pose| {
             Surfaces::about(pose, reach, resolution, |_| Tile::UNKNOWN, trail)
         };
+        let followed_from = self.at;
         let followed = self.follow(&rolled, points, near, scale);
+        let by = followed_from.inv_mul(&self.at);
+        let strayed = Variances::of_motion(&rolled);
+        let strayed = strayed.plus(Variances::of(20.0, 0.01));
+        let seen =
+            followed.map(|it| it.deviations()).map(|[x, y, turn]| [1e-3 * x, 1e-3 * y, turn]);
+        let step = Step::new(by, [1e-3 * strayed.place.sqrt(), strayed.turn.sqrt()], seen);
         let mut pose = submaps::pose(&self.at);
         let search = self.go(&rolled);
         let found = surfaces(pose, reach + search.position).find(points, pose, search);
@@ -147,6 +163,10 @@ impl BlindTrip {
             }
         }
         self.at = motion(pose);
+        if let Some(trajectories) = trajectories.as_mut() {
+            let step = (!core::mem::take(&mut self.is_new)).then_some(step);
+            trajectories.add(robot, &View::of(vector), self.at, step, None);
+        }
         self.trail.add(pose, points, resolution);
         let sure = followed.filter(Match::is_sure).or(found);
         let fix = sure.map(|sure| Match { pose, ..sure })?;

@@ -1,6 +1,7 @@
 //! Corrections from robots' fixes and distance vectors: on covered ground, constant errors of
 //! identifiers and sensors are estimated; in blind ground, robots are followed by what they see, and
-//! matched with the map.
+//! matched with the map. What all of them saw together tells where they were, and moves what they have
+//! drawn.
 
 mod blind;
 mod booted;
@@ -13,7 +14,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use ubimap_protocol::{
     tile::Epoch,
-    time::Instant,
+    time::{Duration, Instant},
     units::{Millimetres, Pose, RobotId},
 };
 
@@ -22,7 +23,10 @@ use self::{
     robot::{Finding, RobotCorrection},
 };
 use super::{command::Command, session::Session, shared_map::SharedMap, surroundings::Place};
-use crate::mapping::{ConstantErrors, CureRecord};
+use crate::mapping::{ConstantErrors, CureRecord, Placement, trajectories::Trajectories};
+
+/// Interval at which the map follows what is known of the robots' trajectories.
+const PLACING_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The corrections of all robots.
 #[derive(Debug, Default)]
@@ -32,6 +36,9 @@ pub(super) struct Corrections {
     waiting: VecDeque<RobotId>,
     /// Whether the corrections are turned off, for comparisons.
     are_off: bool,
+    trajectories: Trajectories,
+    /// When the map next follows the trajectories.
+    next_placing: Instant,
 }
 
 impl Corrections {
@@ -54,12 +61,18 @@ impl Corrections {
     /// Forgets a robot that is gone and has drawn nothing.
     pub(super) fn forget(&mut self, robot: RobotId) {
         self.robots.remove(&robot);
+        self.trajectories.forget(robot);
         self.waiting.retain(|waiting| *waiting != robot);
     }
 
     /// Restores a robot's corrections from an earlier run of the server.
     pub(super) fn restore(&mut self, record: &CureRecord) {
         self.robots.insert(record.robot, RobotCorrection::of(record));
+    }
+
+    /// Restores where a robot was in an earlier run of the server.
+    pub(super) fn restore_placement(&mut self, robot: RobotId, placement: &Placement) {
+        self.trajectories.restore(robot, placement.clone());
     }
 
     /// Adds a camera fix of a robot; returns the corrected pose.
@@ -99,12 +112,45 @@ impl Corrections {
         let Some(vector) = session.said_mut().take_vector() else { return };
         map.look_along(&vector, resolution);
         let correction = self.robots.entry(robot).or_default();
-        match correction.look(robot, &vector, (map, resolution), now) {
+        let trajectories = (!self.are_off).then_some(&mut self.trajectories);
+        let finding = correction.look(robot, &vector, (map, resolution), now, trajectories);
+        match finding {
             Some(Finding::Fix(_)) if self.are_off => {}
             Some(Finding::Fix(fix)) => session.matched(fix),
             Some(Finding::Agreement(agree, contradict)) => map.looked(robot, agree, contradict),
             None => {}
         }
+    }
+
+    /// Finds out where the robots were, and moves what they have drawn. Cost: once a second that of
+    /// [`Trajectories::solve`] and some 10 ms, otherwise some milliseconds.
+    pub(super) fn follow(&mut self, map: &mut SharedMap, resolution: Millimetres, now: Instant) {
+        self.trajectories.advance();
+        if now < self.next_placing {
+            return;
+        }
+        self.next_placing = now + PLACING_INTERVAL;
+        for moved in self.trajectories.solve(resolution) {
+            map.place(moved, self.trajectories.placement(moved), resolution);
+        }
+        if self.trajectories.take_settled() {
+            for robot in self.robots.keys() {
+                self.trajectories.thin(*robot, &map.seconds(*robot));
+            }
+        }
+    }
+
+    /// A robot's tiles were voided, because its pose or its sensor's was wrong: so is the ground that it saw.
+    pub(super) fn void(&mut self, robot: RobotId, map: &mut SharedMap, resolution: Millimetres) {
+        self.trajectories.void_ground(robot);
+        map.place(robot, self.trajectories.placement(robot), resolution);
+    }
+
+    /// The deadline for the next call of [`Corrections::follow`]; `None` if what robots have drawn is where it belongs.
+    pub(super) fn poll_follow(&self, now: Instant) -> Option<Instant> {
+        let matching = self.trajectories.is_matching().then_some(now);
+        let solving = self.trajectories.is_unsolved().then_some(self.next_placing);
+        matching.into_iter().chain(solving).min()
     }
 
     /// Queues the robot's newest distance vector for processing, and advances its cure, unless

@@ -15,7 +15,11 @@ use super::{
     odometry::TurnScale,
 };
 use crate::{
-    mapping::{ConstantErrors, CureRecord, Match, Prior, Search, Surfaces, Trail, points},
+    mapping::{
+        ConstantErrors, CureRecord, Match, Prior, Search, Surfaces, Trail, points,
+        submaps::{View, motion},
+        trajectories::Trajectories,
+    },
     server::{shared_map::SharedMap, surroundings::Place},
     timing::{FIX_GAP, FIX_HISTORY, OUT_OF_VIEW},
 };
@@ -101,6 +105,7 @@ impl RobotCorrection {
         vector: &DistanceVector,
         (map, resolution): (&SharedMap, Millimetres),
         now: Instant,
+        trajectories: Option<&mut Trajectories>,
     ) -> Option<Finding> {
         if now < self.next_look {
             return None;
@@ -108,6 +113,9 @@ impl RobotCorrection {
         self.next_look = now + LOOK_INTERVAL;
         let points = points(vector);
         if let Some(pose) = self.seen_at(vector.time) {
+            if let Some(trajectories) = trajectories {
+                trajectories.add(robot, &View::of(vector), motion(pose), None, Some(motion(pose)));
+            }
             let is_valid = vector.time > self.corrected;
             return is_valid.then(|| self.compare(&points, pose, map, resolution));
         }
@@ -118,10 +126,15 @@ impl RobotCorrection {
         let unseen = vector.time.since(newest);
         let blind = self.blind.get_or_insert_with(|| BlindTrip::after(unseen, vector.pose));
         if unseen < OUT_OF_VIEW {
+            if let Some(trajectories) = trajectories {
+                let pose = motion(vector.pose);
+                trajectories.add(robot, &View::of(vector), pose, None, Some(pose));
+            }
             blind.remember(vector.pose, &points, resolution);
             return None;
         }
-        let found = blind.locate(robot, vector, &points, (map, resolution), &mut self.scale)?;
+        let views = (map, resolution);
+        let found = blind.locate(robot, vector, &points, views, &mut self.scale, trajectories)?;
         Some(Finding::Fix(fix_of(&found, vector.time)))
     }
 

@@ -117,9 +117,9 @@ fn each_cell_has_the_time_of_its_last_change() {
         };
         assert_eq!(seen.seconds[y * TILE_SIDE + x], expected, "({x}, {y})");
     }
-    assert_eq!(layer.drawn_by(ID, 3), Tile::UNKNOWN);
-    assert_eq!([4, 8].map(|second| layer.drawn_by(ID, second)), [early; 2]);
-    assert_eq!(layer.drawn_by(ID, 9), cells);
+    assert_eq!(layer.seen(ID).unwrap().by(3), Tile::UNKNOWN);
+    assert_eq!([4, 8].map(|second| layer.seen(ID).unwrap().by(second)), [early; 2]);
+    assert_eq!(layer.seen(ID).unwrap().by(9), cells);
 }
 
 #[test]
