@@ -278,8 +278,9 @@ fn beside(TileId { x, y }: TileId) -> [Option<TileId>; 4] {
     .map(|(x, y)| Some(TileId { x: x?, y: y? }))
 }
 
-/// Closes gaps of a cell in free ground and in walls, along the lines through three tiles in a row: what was drawn at
-/// different times is moved by different motions. `place` returns x and y from the number of a line and the place on it.
+/// Closes gaps of a cell in free ground and in walls, along the lines through three tiles in a row:
+/// what was drawn at different times is moved by different motions. `place` returns x and y from
+/// the number of a line and the place on it.
 fn close(
     tile: &mut SeenTile,
     torn: [&SeenTile; 3],

@@ -119,7 +119,8 @@ impl<'b> Star<'b> {
                 let known = known.cell(x, y);
                 let held = held.map_or(Cell::Unknown, |(_, cells)| cells.cell(x, y));
                 let is_told = match held {
-                    // A robot does not report a cell that the map already has, or had while it was believed to be there.
+                    // A robot does not report a cell that the map already has, or had while it was
+                    // believed to be there.
                     Cell::Unknown => {
                         layers.iter().any(|it| it.cell(x, y) != Cell::Unknown)
                             || put[y] >> x & 1 == 1

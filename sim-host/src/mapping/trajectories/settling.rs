@@ -13,8 +13,8 @@ const MOST: usize = 1_500;
 const AT_ONCE: usize = 200;
 
 impl Trajectories {
-    /// Settles the oldest pieces, if there are too many: what they say of the map stays as it is, and what they say of the
-    /// others becomes a measurement of these.
+    /// Settles the oldest pieces, if there are too many: what they say of the map stays as it is,
+    /// and what they say of the others becomes a measurement of these.
     pub(super) fn settle(&mut self) {
         if self.pieces.len() < MOST {
             return;
@@ -69,8 +69,8 @@ impl Trajectories {
         core::mem::take(&mut self.has_settled)
     }
 
-    /// Forgets the settled corrections of a robot in whose time none of its cells was drawn; `seconds` are those in which
-    /// some were.
+    /// Forgets the settled corrections of a robot in whose time none of its cells was drawn;
+    /// `seconds` are those in which some were.
     pub fn thin(&mut self, robot: RobotId, seconds: &BTreeSet<u32>) {
         let Some(trajectory) = self.robots.get_mut(&robot) else { return };
         let corrections = &mut trajectory.settled.corrections;

@@ -20,8 +20,9 @@ pub struct Step {
 }
 
 impl Step {
-    /// A motion that odometry knows with these deviations in each direction and in the turn. `followed` are those of x, y
-    /// and turn with which the robot was followed by what it saw, if it was.
+    /// A motion that odometry knows with these deviations in each direction and in the turn.
+    /// `followed` are those of x, y and turn with which the robot was followed by what it saw, if
+    /// it was.
     pub fn new(by: Motion, [place, turn]: [f64; 2], followed: Option<[f64; 3]>) -> Self {
         let [x, y, seen] = followed.unwrap_or([f64::INFINITY; 3]);
         let both = |one: f64, other: f64| (one.powi(-2) + other.powi(-2)).powf(-0.5);

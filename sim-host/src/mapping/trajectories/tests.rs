@@ -65,8 +65,8 @@ fn round() -> Vec<(f64, f64)> {
     [40, 28, 40, 28].into_iter().flat_map(side).collect()
 }
 
-/// Drives around, with a compass that drifts by 0.02 degrees in each step, seen by cameras at the beginning. Returns the
-/// trajectories, and the times with the true and the reported poses.
+/// Drives around, with a compass that drifts by 0.02 degrees in each step, seen by cameras at the
+/// beginning. Returns the trajectories, and the times with the true and the reported poses.
 fn driven(rounds: usize) -> (Trajectories, Vec<(u64, Motion, Motion)>) {
     let (walls, robot) = (walls(), RobotId(3));
     let (mut truth, mut reported) = (Motion::identity(), Motion::identity());
