@@ -48,8 +48,9 @@ const LEAST_SHARE: f64 = 0.6;
 const FARTHEST: (f64, f64) = (0.5, 0.2);
 /// What moves by less than this stays where it is in the map: a quarter of a cell, and that at 3.5 m.
 const STILL: (f64, f64) = (0.012, 0.003_5);
-/// What was drawn from a pose that was off by less than this stays where it was drawn: half a cell, and that at 3 m.
-const RIGHT: (f64, f64) = (0.03, 0.009);
+/// What was drawn from a pose that was off by less than this stays where it was drawn: a cell, and
+/// that at 3 m.
+const RIGHT: (f64, f64) = (0.05, 0.017_5);
 /// Deviations with which cameras see a robot's pose.
 const SEEN: [f64; 3] = [0.02, 0.02, 0.01];
 /// Deviations of the first pose of a robot.
