@@ -21,7 +21,8 @@ use crate::{
 
 /// Memory in bytes that is reserved for each robot: some ten tiles.
 const SHARE: usize = 64 << 10;
-/// Memory in bytes that robots share beyond their reserved memory: some 10,000 tiles.
+/// Memory in bytes that robots share beyond their reserved memory: some 10,000 tiles, or 3,400 whose
+/// cells were moved.
 const COMMON: usize = 64 << 20;
 
 /// The layers and everything derived from them.
@@ -31,7 +32,7 @@ pub(super) struct SharedMap {
     layers: BTreeMap<RobotId, RobotLayer>,
     /// Where what robots have drawn belongs, if that is known better.
     placed: BTreeMap<RobotId, PlacedLayer>,
-    /// Robots of which that has changed since it was stored.
+    /// Robots whose placement has changed since it was stored.
     unkept_placements: BTreeSet<RobotId>,
     agreements: Agreements,
     /// Weights in the current step of the map's time; robots without an entry have the full weight.

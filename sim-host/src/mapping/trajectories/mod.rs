@@ -278,9 +278,9 @@ impl Trajectories {
         self.overlaps.place(number, &self.pieces[number].cloud, &pose);
     }
 
-    /// Solves the graph, and settles the oldest pieces if there are too many. Returns the robots of which the
-    /// [placement](Self::placement) has changed. Cost: 10 to 60 ms for 1,500 pieces in
-    /// rooms, 170 ms where most of them see the same ground.
+    /// Solves the graph, and settles the oldest pieces if there are too many. Returns the robots
+    /// whose [placement](Self::placement) has changed. Cost: 10 to 60 ms for 1,500 pieces in rooms,
+    /// 170 ms where most of them see the same ground.
     pub fn solve(&mut self, resolution: Millimetres) -> BTreeSet<RobotId> {
         let mut moved = BTreeSet::new();
         if !core::mem::take(&mut self.is_unsolved) {

@@ -32,7 +32,7 @@ impl Step {
         Self { by, deviations, is_doubted: seen > SURE }
     }
 
-    /// The motion between two poses that a robot reported, of which nothing else is known.
+    /// The motion between two poses that a robot reported, if nothing else is known about it.
     pub(super) fn reported(from: &Motion, to: &Motion) -> Self {
         let by = from.inv_mul(to);
         let (way, turn) = (by.translation.vector.norm(), by.rotation.angle().abs());
@@ -41,7 +41,7 @@ impl Step {
         Self { by, deviations, is_doubted: true }
     }
 
-    /// A motion of which nothing is known.
+    /// A motion about which nothing is known.
     pub(super) fn unknown(by: Motion) -> Self {
         Self { by, deviations: [5.0, 5.0, 3.0], is_doubted: true }
     }

@@ -41,6 +41,9 @@ const VIEWED: Variances = Variances::of(5.0, 0.001);
 /// By how much a robot's heading may drift per metre that it drives straight, in radians: as on wheels whose sizes
 /// differ by 0.7 %, 0.23 m apart. Within a trip that is no noise, so it must not hold back what the robot sees.
 const BENT: f64 = 0.03;
+/// Deviation of a step of a robot's trajectory, beyond that of the odometry; it is generous, because
+/// what the robot saw counts as well.
+const STEPPED: Variances = Variances::of(20.0, 0.01);
 /// Maximum deviation of a followed robot's heading, in radians, to learn from it.
 const SURE: f64 = 0.02;
 /// How far from the place where it is believed to be a robot that has booted is sought.
@@ -147,7 +150,7 @@ impl BlindTrip {
         let followed = self.follow(&rolled, points, near, scale);
         let by = followed_from.inv_mul(&self.at);
         let strayed = Variances::of_motion(&rolled);
-        let strayed = strayed.plus(Variances::of(20.0, 0.01));
+        let strayed = strayed.plus(STEPPED);
         let seen =
             followed.map(|it| it.deviations()).map(|[x, y, turn]| [1e-3 * x, 1e-3 * y, turn]);
         let step = Step::new(by, [1e-3 * strayed.place.sqrt(), strayed.turn.sqrt()], seen);
