@@ -96,6 +96,23 @@ impl PlacedLayer {
         self.placed.keys().copied()
     }
 
+    /// How far, in metres, what the robot drew was moved at most, measured at the middles of tiles. Cost: some 0.1 ms
+    /// for each tile.
+    pub fn farthest_moved(&self, layer: &RobotLayer) -> f64 {
+        let mut farthest = 0.0_f64;
+        for (id, seen) in layer.tiles() {
+            let (x, y) = id.first_cell();
+            let metres = |it: i32| f64::from(it + TILE_SIDE as i32 / 2) * self.resolution.metres();
+            let middle = Point2::new(metres(x), metres(y));
+            let index = |&second: &u32| index_at(&self.placement.corrections, second);
+            let used: BTreeSet<usize> = seen.seconds.iter().filter_map(index).collect();
+            for by in used.into_iter().filter_map(|index| self.motions[index]) {
+                farthest = farthest.max((by * middle - middle).norm());
+            }
+        }
+        farthest
+    }
+
     /// Replaces what is known of where the robot was. Returns the tiles that change. Cost: some 0.1 ms for each of the
     /// tiles with cells that move.
     pub fn place(&mut self, placement: Placement, layer: &RobotLayer) -> BTreeSet<TileId> {
@@ -378,7 +395,9 @@ mod tests {
         assert_eq!(changed.len(), 2);
         // What stays as it is is no change.
         assert_eq!(placed.place(corrections(&[(0, 0.2, 0.0, 0.0)]), &layer).len(), 0);
+        assert!((placed.farthest_moved(&layer) - 0.2).abs() < 1e-9);
         assert_eq!(placed.place(corrections(&[]), &layer).len(), 2);
+        assert_eq!(placed.farthest_moved(&layer), 0.0);
     }
 
     #[test]

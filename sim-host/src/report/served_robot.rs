@@ -21,6 +21,8 @@ pub struct ServedRobot {
     pub pose_s_ago: Option<f64>,
     /// Whether it has booted out of view, where nothing has told yet where it is: its pose is the one before.
     pub is_sought: bool,
+    /// How far, in metres, what it drew was moved at most, as it was not where it believed.
+    pub map_moved_m: f64,
     /// What it is doing, as a sentence that starts with the robot.
     pub doing: String,
 }
@@ -41,6 +43,9 @@ impl fmt::Display for ServedRobot {
             write!(f, ", if it has not moved since it booted")?;
         }
         write!(f, "; {}", self.doing)?;
+        if self.map_moved_m >= 0.1 {
+            write!(f, "; what it drew was moved by up to {:.1} m", self.map_moved_m)?;
+        }
         match (&self.port, self.heard_s_ago) {
             (Some(port), Some(age)) => write!(f, "; heard {age:.1} s ago at {port}")?,
             (Some(port), None) => write!(f, "; was at {port}")?,
@@ -64,11 +69,18 @@ mod tests {
             pose: Some([2.0, 3.0, -0.3]),
             pose_s_ago: Some(0.1),
             is_sought: false,
+            map_moved_m: 0.04,
             doing: "has nothing to do".into(),
         };
         assert_eq!(
             robot.to_string(),
             "robot 1: at 2.00 m, 3.00 m, 0 degrees, 0.1 s ago; has nothing to do; heard 0.2 s ago at udp:4000"
+        );
+        let adrift = ServedRobot { map_moved_m: 0.43, port: None, ..robot };
+        assert_eq!(
+            adrift.to_string(),
+            "robot 1: at 2.00 m, 3.00 m, 0 degrees, 0.1 s ago; has nothing to do; \
+             what it drew was moved by up to 0.4 m; never heard"
         );
     }
 }

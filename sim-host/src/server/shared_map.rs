@@ -168,6 +168,12 @@ impl SharedMap {
         tiles.flat_map(|(_, seen)| seen.seconds).collect()
     }
 
+    /// How far, in metres, what a robot drew was moved at most.
+    pub(super) fn farthest_moved(&self, robot: RobotId) -> f64 {
+        let layers = self.placed.get(&robot).zip(self.layers.get(&robot));
+        layers.map_or(0.0, |(placed, layer)| placed.farthest_moved(layer))
+    }
+
     /// What is known of where a robot was; `None` if it always was where it believed.
     pub(super) fn placement(&self, robot: RobotId) -> Option<&Placement> {
         self.placed.get(&robot).map(PlacedLayer::placement)

@@ -58,6 +58,7 @@ pub(super) fn robots(
                 [x, y, pose.heading.degrees()]
             }),
             is_sought: session && server.is_sought(robot),
+            map_moved_m: server.farthest_moved(robot),
             pose_s_ago: newest.map(|(at, _)| seconds(moment.since(at))),
             doing,
         }
