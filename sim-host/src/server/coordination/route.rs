@@ -44,6 +44,8 @@ pub(super) struct Terrain<'a> {
     weights: Vec<u8>,
     /// The cost factor of ground with little clearance.
     tight: u8,
+    /// Squared distance in cells to the nearest wall of a place where the robot may stand.
+    stands: u32,
 }
 
 impl<'a> Terrain<'a> {
@@ -57,8 +59,10 @@ impl<'a> Terrain<'a> {
             (cells * cells).ceil() as u32
         };
         let (least, roomy) = (squared(room_m), squared(room_m + settings.clearances.spare_m));
+        let narrowest = squared(room_m - settings.clearances.give_m);
         let weight = |at| match (ground.to_wall(at), ground.to_movable(at)) {
-            (wall, _) if wall < least => SHUT,
+            (wall, _) if wall < narrowest => SHUT,
+            (wall, _) if wall < least => costs.narrow.min(MAX_WEIGHT),
             // A robot that has drawn the cell itself, which the server has forgotten, may cross it.
             _ if !ground.is_trusted(at) => costs.unknown.min(MAX_WEIGHT),
             (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
@@ -66,7 +70,7 @@ impl<'a> Terrain<'a> {
             _ => ROOMY,
         };
         let weights = (0..ground.len()).map(weight).collect();
-        Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT) }
+        Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT), stands: least }
     }
 
     /// Raises the cost factor in a disc to `weight`, at most to [`MAX_WEIGHT`].
@@ -88,7 +92,7 @@ impl<'a> Terrain<'a> {
 
     /// Whether the robot may stand in a cell.
     pub(super) fn is_open(&self, at: usize) -> bool {
-        self.weights[at] != SHUT
+        self.weights[at] != SHUT && self.ground.to_wall(at) >= self.stands
     }
 
     /// The cheapest routes from a place to all cells. `None` if the place is outside of the ground.
@@ -300,6 +304,30 @@ mod tests {
             None,
             "the door is too narrow"
         );
+    }
+
+    #[test]
+    fn a_narrow_door_is_passed_if_there_is_no_other_way_and_no_place_to_stand() {
+        let mut plan = Plan::room(6.0, 4.0);
+        plan.wall(2.9, 0.0, 3.1, 1.7);
+        let mut shut = plan.clone();
+        shut.wall(2.9, 2.3, 3.1, 4.0);
+        let ground = drawn(&shut, |_, _| false);
+        let (from, to, door) = (Point::new(1.0, 2.0), Point::new(5.0, 2.0), Point::new(3.0, 2.0));
+        let terrain = |room_m: f64| Terrain::new(&ground, room_m, &Settings::default());
+        // 0.6 m wide: 0.3 m to both sides, of which 0.05 m are doubtful, as walls are drawn in cells.
+        for (room_m, passes, stands) in
+            [(0.24, true, true), (0.28, true, false), (0.33, false, false)]
+        {
+            let terrain = terrain(room_m);
+            assert_eq!(terrain.route(from, to).is_some(), passes, "{room_m}");
+            assert_eq!(terrain.is_open(ground.at(door).unwrap()), stands, "{room_m}");
+        }
+        // With another door, the way through that is taken, if it is not too long.
+        plan.wall(2.9, 2.3, 3.1, 2.9);
+        let ground = drawn(&plan, |_, _| false);
+        let terrain = Terrain::new(&ground, 0.28, &Settings::default());
+        assert!(length(&terrain.route(from, to).unwrap()) > 4.2);
     }
 
     #[test]

@@ -97,6 +97,8 @@ pub struct Clearances {
     /// From walls, for planning: the 3 cm that a robot's own driver keeps, plus the error of walls
     /// drawn in cells of 5 cm.
     pub wall_m: f64,
+    /// By how much less will do to pass where there is no other way, as in a narrow door.
+    pub give_m: f64,
     /// Minimum additional clearance of ground that counts as open. Ground with less costs more, so
     /// that routes keep away from walls where possible.
     pub spare_m: f64,
@@ -112,7 +114,14 @@ pub struct Clearances {
 
 impl Default for Clearances {
     fn default() -> Self {
-        Self { wall_m: 0.08, spare_m: 0.1, route_m: 0.1, person_m: 0.1, trodden_m: 0.3 }
+        Self {
+            wall_m: 0.08,
+            give_m: 0.05,
+            spare_m: 0.1,
+            route_m: 0.1,
+            person_m: 0.1,
+            trodden_m: 0.3,
+        }
     }
 }
 
@@ -237,6 +246,8 @@ impl Default for GrantingRules {
 pub struct CrossingCosts {
     /// Cost of ground with little clearance: 1.5 times that of open ground.
     pub tight: u8,
+    /// Cost of ground with less clearance than [`Clearances::wall_m`].
+    pub narrow: u8,
     /// Cost of ground last seen occupied by something movable.
     pub movable: u8,
     /// Cost of unknown ground at the edge of known ground, on which a robot's own planner does not drive.
@@ -257,6 +268,7 @@ impl Default for CrossingCosts {
     fn default() -> Self {
         Self {
             tight: 3,
+            narrow: 24,
             movable: 12,
             unknown: 40,
             standing: 12,
