@@ -2,7 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use ubimap_protocol::{message::EventCode, time::Instant, units::RobotId};
+use ubimap_protocol::{
+    message::EventCode,
+    time::Instant,
+    units::{Angle, Millimetres, RobotId},
+};
 
 use super::{
     command::Command,
@@ -89,6 +93,7 @@ impl Dispatch {
         &mut self,
         snapshot: &Snapshot<'_>,
         is_reachable: impl Fn(RobotId) -> bool,
+        deviations: impl Fn(RobotId) -> (Millimetres, Angle),
         now: Instant,
     ) -> bool {
         if now < self.poll_timeout() {
@@ -97,7 +102,8 @@ impl Dispatch {
         let robots = snapshot.surroundings.robots().map(|(robot, place, footprint)| {
             let obeys = is_reachable(robot) && !self.held.contains(&robot);
             let (moment, pose, is_in_view) = (place.moment, place.pose, place.is_in_view());
-            Whereabouts { robot, moment, pose, is_in_view, footprint, obeys }
+            let deviations = deviations(robot);
+            Whereabouts { robot, moment, pose, deviations, is_in_view, footprint, obeys }
         });
         let robots: Vec<Whereabouts> = robots.collect();
         let obstacles = snapshot.surroundings.all_obstacles().into_iter();

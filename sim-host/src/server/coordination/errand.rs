@@ -17,6 +17,8 @@ pub enum Errand {
     Returns([f64; 2]),
     /// It has driven far out of the cameras' view, where its pose drifts, and returns into view at that place.
     Recalled([f64; 2]),
+    /// It saw too little to know well where it is, and goes back to that place, where it did.
+    Retreats([f64; 2]),
     /// It drives to a goal in `map`, in metres.
     Goal([f64; 2]),
     /// There is no way to its goal at present.
@@ -44,6 +46,9 @@ impl Coordinator {
             (Some(goal), _) if member.is_told => Errand::NoWay(goal),
             (Some(goal), _) => Errand::Goal(goal),
             (None, Some(frontier)) => Errand::Looks(frontier),
+            (None, None) if member.retreats => {
+                member.refuge.map_or(Errand::Waits, |it| Errand::Retreats(place(it)))
+            }
             (None, None) if member.recall.is_none() => {
                 member.refuge.map_or(Errand::Waits, |it| Errand::Recalled(place(it)))
             }
@@ -72,6 +77,12 @@ impl fmt::Display for Errand {
                 write!(
                     f,
                     "explores; its pose may have drifted, so that it comes into view at {x:.2} m, {y:.2} m"
+                )
+            }
+            Self::Retreats([x, y]) => {
+                write!(
+                    f,
+                    "explores; it sees too little to know well where it is, so that it goes back to {x:.2} m, {y:.2} m"
                 )
             }
             Self::Blocked(1) => write!(f, "was blocked, and gets another path"),

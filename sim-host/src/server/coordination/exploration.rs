@@ -7,7 +7,8 @@ use super::{
     assignment::{NEVER, assign},
     coordinator::Coordinator,
     frontiers::{Frontier, frontiers},
-    ground::{Disc, Ground},
+    ground::{Disc, Ground, Point},
+    member::Sureness,
     target::{Target, Tried},
 };
 
@@ -21,6 +22,7 @@ impl Coordinator {
             self.frontiers = frontiers(&ground, &self.settings);
         }
         self.drop_targets(now);
+        self.retreat(&ground, now);
         self.call_back(&ground, now);
         self.assign_targets(&ground, now);
         self.send_back(&ground, now);
@@ -70,13 +72,42 @@ impl Coordinator {
         }
     }
 
+    /// Sends robots that see too little to know well where they are back to where they last did; from there, if they
+    /// still see too little, to the place before.
+    fn retreat(&mut self, ground: &Ground, now: Instant) {
+        let rules = self.settings.exploration;
+        for index in 0..self.members.len() {
+            let member = &mut self.members[index];
+            if !member.is_exploring() {
+                continue;
+            }
+            if member.retreats && member.sureness == Sureness::Sure {
+                member.refuge = None;
+                self.reservations.drop_ahead(index);
+            }
+            member.retreats &= member.refuge.is_some();
+            if member.retreats || member.sureness != Sureness::Unsure {
+                continue;
+            }
+            let Some(sure_at) = member.sure_at.pop() else { continue };
+            let is_near = |disc: &Disc| (disc.centre - sure_at).norm() <= rules.within_m;
+            let Some(refuge) = self.nearest(ground, index, is_near) else { continue };
+            self.put_off_target(index, now + rules.put_off);
+            let member = &mut self.members[index];
+            (member.refuge, member.retreats) = (Some(refuge), true);
+            member.recall.get_or_insert(now);
+            // At once, not at the end of the ground that it was granted.
+            self.halt(index, now);
+        }
+    }
+
     /// Calls robots back into the cameras' view whose poses may have drifted, and lets those that cameras have
     /// seen again go on.
     fn call_back(&mut self, ground: &Ground, now: Instant) {
         let rules = self.settings.exploration;
         for index in 0..self.members.len() {
             let member = &mut self.members[index];
-            if !member.is_exploring() {
+            if !member.is_exploring() || member.retreats {
                 continue;
             }
             let is_adrift = member.is_adrift(rules.blind_m);
@@ -124,14 +155,7 @@ impl Coordinator {
     /// Sends a robot to the nearest place in the cameras' view that no other robot stands on or is to cross.
     /// Returns whether there is one.
     fn take_refuge(&mut self, ground: &Ground, index: usize, now: Instant) -> bool {
-        let radius = self.members[index].radius_m + self.settings.exploration.within_m;
-        let approach = self.approach(ground, index, &[]);
-        let suits = |at| {
-            let disc = Disc { centre: ground.place(at), radius };
-            approach.terrain.is_open(at) && !approach.in_the_way[at] && ground.is_in_view(&disc)
-        };
-        let route = approach.terrain.nearest(approach.from, suits);
-        let refuge = route.and_then(|route| route.last().copied());
+        let refuge = self.nearest(ground, index, |disc| ground.is_in_view(disc));
         if refuge.is_some() {
             let member = &mut self.members[index];
             member.refuge = refuge;
@@ -139,6 +163,23 @@ impl Coordinator {
             self.reservations.drop_ahead(index);
         }
         refuge.is_some()
+    }
+
+    /// The nearest place that suits a robot, and that no other one stands on or is to cross.
+    fn nearest(
+        &self,
+        ground: &Ground,
+        index: usize,
+        suits: impl Fn(&Disc) -> bool,
+    ) -> Option<Point> {
+        let radius = self.members[index].radius_m + self.settings.exploration.within_m;
+        let approach = self.approach(ground, index, &[]);
+        let will_do = |at| {
+            let disc = Disc { centre: ground.place(at), radius };
+            approach.terrain.is_open(at) && !approach.in_the_way[at] && suits(&disc)
+        };
+        let route = approach.terrain.nearest(approach.from, will_do)?;
+        route.last().copied()
     }
 
     /// The frontiers that are no robot's target and have not been given up.

@@ -383,6 +383,13 @@ pub struct ExplorationRules {
     pub blind_m: f64,
     /// How far within the view such a place is, in metres: the robot's pose may be off.
     pub within_m: f64,
+    /// Deviations, in metres and radians, with which a robot knows well where it is.
+    pub sure: (f64, f64),
+    /// Those beyond which one that explores goes back to where it last did: it sees too little, and would soon stand,
+    /// lost (15 cm or 3 degrees).
+    pub unsure: (f64, f64),
+    /// Minimum distance between two places that are remembered for that, in metres.
+    pub apart_m: f64,
     /// Time for which it explores on if it can't come into view.
     pub recall_again: Duration,
     /// Time after which a robot that finds nothing to look at returns to where cameras see it; `None` to
@@ -404,6 +411,9 @@ impl Default for ExplorationRules {
             put_off: Duration::from_secs(20),
             blind_m: 15.0,
             within_m: 0.3,
+            sure: (0.05, 0.021),
+            unsure: (0.1, 0.035),
+            apart_m: 1.0,
             recall_again: Duration::from_secs(30),
             returns_after: None,
         }

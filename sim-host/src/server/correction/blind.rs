@@ -57,6 +57,9 @@ pub(super) struct BlindTrip {
     /// Where the robot was in its last view.
     at: Motion,
     reported: Reported,
+    /// The robot's newest known pose, and by how much its odometry may have strayed since the last view.
+    told: Pose,
+    since: Variances,
     drift: Drift,
     /// Distance driven in millimetres, and angle turned in radians, since the robot's pose was last
     /// known from cameras or a match.
@@ -79,6 +82,8 @@ impl BlindTrip {
             trail: Trail::default(),
             at: motion(last),
             reported: Reported::seen_at(last),
+            told: last,
+            since: Variances::of(0.0, 0.0),
             drift,
             way_mm: 1_000.0 * metres,
             turned: 0.0,
@@ -91,6 +96,18 @@ impl BlindTrip {
     pub(super) fn about(place: &Place) -> Self {
         let booted = Some(Booted::new(place.stands()));
         Self { booted, ..Self::after(Duration::default(), place.pose) }
+    }
+
+    /// Notes the robot's newest known pose.
+    pub(super) fn told(&mut self, pose: Pose) {
+        let by = motion(self.told).inv_mul(&motion(pose));
+        self.since = self.since.plus(Variances::of_motion(&by));
+        self.told = pose;
+    }
+
+    /// The deviations of the robot's position and heading, as it estimates them.
+    pub(super) fn deviations(&self) -> (Millimetres, Angle) {
+        self.reported.variances().plus(self.since).deviations()
     }
 
     /// Whether the robot has booted and was not found yet.
@@ -143,6 +160,7 @@ impl BlindTrip {
         }
 
         let rolled = self.reported.rolled_to(vector.pose);
+        (self.told, self.since) = (vector.pose, Variances::of(0.0, 0.0));
         let near = |trail: &Trail, pose| {
             Surfaces::about(pose, reach, resolution, |_| Tile::UNKNOWN, trail)
         };

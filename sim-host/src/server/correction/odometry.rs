@@ -107,6 +107,11 @@ impl Reported {
         Self { pose: fix.pose, fix: None, variances: Variances::of(x.max(y), turn) }
     }
 
+    /// The variances of the robot's pose, as it estimates them.
+    pub(super) fn variances(&self) -> Variances {
+        self.variances
+    }
+
     /// How the robot has moved by its odometry when it reports its next pose.
     pub(super) fn rolled_to(&mut self, pose: Pose) -> Motion {
         let size = |it: &Motion| it.translation.vector.norm() + it.rotation.angle().abs();
