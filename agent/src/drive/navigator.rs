@@ -4,7 +4,7 @@
 use heapless::Vec;
 use ubimap_protocol::{
     message::{EventCode, MAX_OBSTACLES, MAX_PEERS, Obstacle, ObstacleClass, Peer, Waypoint},
-    tile::{Row, TILE_SIDE, TileId},
+    tile::{TILE_SIDE, TileId},
     time::{Duration, Instant},
     units::{Millimetres, Pose},
 };
@@ -237,7 +237,8 @@ fn squared_distance(from: Pose, x: Millimetres, y: Millimetres) -> i64 {
     way(x, from.x).pow(2) + way(y, from.y).pow(2)
 }
 
-/// The states of the 32 cells in a column of tiles and a row of cells.
+/// The states of the 32 cells in a column of tiles and a row of cells: the server's, or the robot's own where the
+/// server's is unknown.
 fn ground(surroundings: &Surroundings<'_, '_>, column: i32, row: i32) -> GroundRow {
     let side = TILE_SIDE as i32;
     let Some(id) = TileId::of_cell(column.saturating_mul(side), row) else {
@@ -245,49 +246,14 @@ fn ground(surroundings: &Surroundings<'_, '_>, column: i32, row: i32) -> GroundR
     };
     let y = row.rem_euclid(side) as usize;
     let around = surroundings.fused.around(id, surroundings.now);
-    let merged = around.merged.map(|tile| tile.row(y)).unwrap_or_default();
-    let cells = surroundings.own.find(id).map_or(merged, |own| passable(merged, own.row(y)));
+    let mut cells = around.merged.map(|tile| tile.row(y)).unwrap_or_default();
+    let mut seen = 0;
+    if let Some(own) = surroundings.own.find(id) {
+        let (own, unknown) = (own.row(y), !(cells.low | cells.high));
+        cells.low |= own.low & unknown;
+        cells.high |= own.high & unknown;
+        seen = own.high & !own.low;
+    }
     let covered = around.covered.and_then(|rows| rows.get(y)).copied().unwrap_or_default();
-    GroundRow { cells, covered }
-}
-
-/// The server's cells; the robot's own where the server's are unknown, and where it has itself seen something stand: if
-/// its pose is off, the server's map is right, and what is in the robot's way is where the robot has drawn it.
-fn passable(merged: Row, own: Row) -> Row {
-    let unknown = !(merged.low | merged.high);
-    let solid = own.high & !own.low;
-    Row {
-        low: (merged.low | own.low & unknown) & !solid,
-        high: merged.high | own.high & unknown | solid,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use ubimap_protocol::tile::{Cell, Tile};
-
-    use super::*;
-
-    #[test]
-    fn what_the_robot_saw_stand_is_in_its_way_whatever_the_map_says() {
-        use Cell::{Free, Movable, Occupied, Unknown};
-        for merged in [Unknown, Free, Occupied, Movable] {
-            for own in [Unknown, Free, Occupied, Movable] {
-                let row = |cell| {
-                    let mut tile = Tile::UNKNOWN;
-                    tile.set(5, 0, cell);
-                    tile.row(0)
-                };
-                let mut tile = Tile::UNKNOWN;
-                tile.set_row(0, passable(row(merged), row(own)));
-                let expected = match (merged, own) {
-                    (_, Occupied) => Occupied,
-                    (Unknown, own) => own,
-                    (merged, _) => merged,
-                };
-                assert_eq!(tile.cell(5, 0), expected, "{merged:?}, {own:?}");
-                assert_eq!(tile.cell(6, 0), Unknown);
-            }
-        }
-    }
+    GroundRow { cells, covered, seen }
 }
