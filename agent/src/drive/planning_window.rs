@@ -17,9 +17,10 @@ use crate::trigonometry::{radians, sin_cos};
 /// The coarsest level: each cell covers 4 x 4 map cells, the window 256 x 256.
 pub const MAX_LEVEL: u32 = 2;
 
-/// Distance in millimetres up to which what the robot has itself seen stand is in its way, whatever the map says: if its
-/// pose is off, the server's map is right, and what it must not touch is where it has drawn it. Farther away it may
-/// be a person who was seen a moment ago, before whom the robot stops earlier than before a wall.
+/// Distance in millimetres along both axes up to which what the robot has itself seen stand is in its way, whatever the
+/// map says: if its pose is off, the server's map is right, and what it must not touch is where it has drawn it. Farther
+/// away it may be a person who was seen a moment ago, before whom the robot stops earlier than before a wall, or a
+/// wall drawn before the pose was corrected.
 const BESIDE: i32 = 500;
 
 /// 32 cells of a map row: a row of a tile.

@@ -48,8 +48,7 @@ impl Server {
         self.map.placement(robot)
     }
 
-    /// How far, in metres, what a robot drew was moved at most, as the robot was not where it believed. Cost: some 0.1
-    /// ms for each of its tiles.
+    /// How far, in metres, what a robot drew was moved at most, as the robot was not where it believed.
     pub fn farthest_moved(&self, robot: RobotId) -> f64 {
         self.map.farthest_moved(robot)
     }

@@ -170,8 +170,7 @@ impl SharedMap {
 
     /// How far, in metres, what a robot drew was moved at most.
     pub(super) fn farthest_moved(&self, robot: RobotId) -> f64 {
-        let layers = self.placed.get(&robot).zip(self.layers.get(&robot));
-        layers.map_or(0.0, |(placed, layer)| placed.farthest_moved(layer))
+        self.placed.get(&robot).map_or(0.0, PlacedLayer::farthest_moved)
     }
 
     /// What is known of where a robot was; `None` if it always was where it believed.

@@ -38,7 +38,9 @@ impl Coordinator {
         let place = |point: Point| [point.x, point.y];
         let goal = member.goal.map(place);
         let target = member.target.map(|target| place(target.frontier));
-        if let Some(trouble) = member.trouble.filter(|_| member.halted.is_some()) {
+        if let Some(trouble) =
+            member.trouble.filter(|_| member.halted.is_some() && !member.is_retreating())
+        {
             return Some(Errand::Blocked(trouble.times));
         }
         Some(match (goal, target) {
@@ -46,10 +48,8 @@ impl Coordinator {
             (Some(goal), _) if member.is_told => Errand::NoWay(goal),
             (Some(goal), _) => Errand::Goal(goal),
             (None, Some(frontier)) => Errand::Looks(frontier),
-            (None, None) if member.retreats => {
-                member.refuge.map_or(Errand::Waits, |it| Errand::Retreats(place(it)))
-            }
-            (None, None) if member.recall.is_none() => {
+            (None, None) if member.is_retreating() => Errand::Retreats(member.refuge.map(place)?),
+            (None, None) if member.explores && member.recall.is_none() => {
                 member.refuge.map_or(Errand::Waits, |it| Errand::Recalled(place(it)))
             }
             (None, None) if member.refuge.is_some() => Errand::Returns(member.refuge.map(place)?),

@@ -72,8 +72,8 @@ impl Coordinator {
         }
     }
 
-    /// Sends robots that see too little to know well where they are back to where they last did; from there, if they
-    /// still see too little, to the place before.
+    /// Sends robots that see too little to know well where they are back to the nearest place where they did; from
+    /// there, if they still see too little, to the next.
     fn retreat(&mut self, ground: &Ground, now: Instant) {
         let rules = self.settings.exploration;
         for index in 0..self.members.len() {
@@ -81,21 +81,34 @@ impl Coordinator {
             if !member.is_exploring() {
                 continue;
             }
-            if member.retreats && member.sureness == Sureness::Sure {
+            if member.is_retreating() && member.sureness == Sureness::Sure {
                 member.refuge = None;
                 self.reservations.drop_ahead(index);
             }
-            member.retreats &= member.refuge.is_some();
-            if member.retreats || member.sureness != Sureness::Unsure {
+            if member.is_retreating() || member.sureness != Sureness::Unsure {
                 continue;
             }
-            let Some(sure_at) = member.sure_at.pop() else { continue };
-            let is_near = |disc: &Disc| (disc.centre - sure_at).norm() <= rules.within_m;
-            let Some(refuge) = self.nearest(ground, index, is_near) else { continue };
+            member.retreats = false;
+            let places = core::mem::take(&mut member.sure_at);
+            let is_near = |it: &Point, place: Point| (*it - place).norm() <= rules.within_m;
+            let refuge = match places.is_empty() {
+                true => None,
+                false => self.nearest(ground, index, |disc| {
+                    places.iter().any(|it| is_near(it, disc.centre))
+                }),
+            };
+            let Some(refuge) = refuge else {
+                // Others may be in the way.
+                self.members[index].sure_at = places;
+                continue;
+            };
             self.put_off_target(index, now + rules.put_off);
             let member = &mut self.members[index];
+            // If it sees too little there as well, that place is not tried again.
+            member.sure_at = places.into_iter().filter(|it| !is_near(it, refuge)).collect();
             (member.refuge, member.retreats) = (Some(refuge), true);
-            member.recall.get_or_insert(now);
+            // If it was on its way into view, it sees too little on that.
+            member.recall.get_or_insert(now + rules.recall_again);
             // At once, not at the end of the ground that it was granted.
             self.halt(index, now);
         }
@@ -107,7 +120,7 @@ impl Coordinator {
         let rules = self.settings.exploration;
         for index in 0..self.members.len() {
             let member = &mut self.members[index];
-            if !member.is_exploring() || member.retreats {
+            if !member.is_exploring() || member.is_retreating() {
                 continue;
             }
             let is_adrift = member.is_adrift(rules.blind_m);

@@ -37,7 +37,7 @@ pub(super) struct Member {
     pub(super) sureness: Sureness,
     /// Where it knew well where it was, the latest place last.
     pub(super) sure_at: Vec<Point>,
-    /// Whether it is on its way back to such a place.
+    /// Whether `refuge` is such a place.
     pub(super) retreats: bool,
     /// Since when it has had nothing to do.
     pub(super) idle_since: Option<Instant>,
@@ -175,7 +175,15 @@ impl Member {
 
     /// Whether the robot may be given something to look at.
     pub(super) fn is_idle(&self) -> bool {
-        self.is_exploring() && self.target.is_none() && self.recall.is_some() && !self.retreats
+        self.is_exploring()
+            && self.target.is_none()
+            && self.recall.is_some()
+            && !self.is_retreating()
+    }
+
+    /// Whether the robot is on its way back to a place where it knew well where it was.
+    pub(super) fn is_retreating(&self) -> bool {
+        self.retreats && self.refuge.is_some()
     }
 
     /// Whether the robot explores now.

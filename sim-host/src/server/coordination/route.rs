@@ -44,7 +44,7 @@ pub(super) struct Terrain<'a> {
     weights: Vec<u8>,
     /// The cost factor of ground with little clearance.
     tight: u8,
-    /// Squared distance in cells to the nearest wall of a place where the robot may stand.
+    /// Least squared distance in cells to the nearest wall of a place that the robot is sent to.
     stands: u32,
 }
 
@@ -62,9 +62,9 @@ impl<'a> Terrain<'a> {
         let narrowest = squared(room_m - settings.clearances.give_m);
         let weight = |at| match (ground.to_wall(at), ground.to_movable(at)) {
             (wall, _) if wall < narrowest => SHUT,
-            (wall, _) if wall < least => costs.narrow.min(MAX_WEIGHT),
             // A robot that has drawn the cell itself, which the server has forgotten, may cross it.
             _ if !ground.is_trusted(at) => costs.unknown.min(MAX_WEIGHT),
+            (wall, _) if wall < least => costs.narrow.min(MAX_WEIGHT),
             (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
             (wall, movable) if wall.min(movable) < roomy => costs.tight.min(MAX_WEIGHT),
             _ => ROOMY,
@@ -90,7 +90,7 @@ impl<'a> Terrain<'a> {
         ground.within(&Disc { radius, ..*disc }, |at| weights[at] = SHUT);
     }
 
-    /// Whether the robot may stand in a cell.
+    /// Whether the robot may be sent to a cell.
     pub(super) fn is_open(&self, at: usize) -> bool {
         self.weights[at] != SHUT && self.ground.to_wall(at) >= self.stands
     }
@@ -315,7 +315,7 @@ mod tests {
         let ground = drawn(&shut, |_, _| false);
         let (from, to, door) = (Point::new(1.0, 2.0), Point::new(5.0, 2.0), Point::new(3.0, 2.0));
         let terrain = |room_m: f64| Terrain::new(&ground, room_m, &Settings::default());
-        // 0.6 m wide: 0.3 m to both sides, of which 0.05 m are doubtful, as walls are drawn in cells.
+        // 0.6 m wide: 0.3 m to both sides, of which half a cell is doubtful.
         for (room_m, passes, stands) in
             [(0.24, true, true), (0.28, true, false), (0.33, false, false)]
         {

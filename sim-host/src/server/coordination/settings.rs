@@ -97,7 +97,8 @@ pub struct Clearances {
     /// From walls, for planning: the 3 cm that a robot's own driver keeps, plus the error of walls
     /// drawn in cells of 5 cm.
     pub wall_m: f64,
-    /// By how much less will do to pass where there is no other way, as in a narrow door.
+    /// By how much less will do to pass where there is no other way, as in a narrow door: a robot's own planner keeps
+    /// its 3 cm and half the diagonal of a cell.
     pub give_m: f64,
     /// Minimum additional clearance of ground that counts as open. Ground with less costs more, so
     /// that routes keep away from walls where possible.
@@ -116,7 +117,7 @@ impl Default for Clearances {
     fn default() -> Self {
         Self {
             wall_m: 0.08,
-            give_m: 0.05,
+            give_m: 0.015,
             spare_m: 0.1,
             route_m: 0.1,
             person_m: 0.1,

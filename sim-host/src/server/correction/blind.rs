@@ -57,9 +57,9 @@ pub(super) struct BlindTrip {
     /// Where the robot was in its last view.
     at: Motion,
     reported: Reported,
-    /// The robot's newest known pose, and by how much its odometry may have strayed since the last view.
-    told: Pose,
-    since: Variances,
+    /// The robot's newest known pose, and by how much its odometry may have strayed up to there since the last view.
+    newest: Pose,
+    strayed: Variances,
     drift: Drift,
     /// Distance driven in millimetres, and angle turned in radians, since the robot's pose was last
     /// known from cameras or a match.
@@ -82,8 +82,8 @@ impl BlindTrip {
             trail: Trail::default(),
             at: motion(last),
             reported: Reported::seen_at(last),
-            told: last,
-            since: Variances::of(0.0, 0.0),
+            newest: last,
+            strayed: Variances::NONE,
             drift,
             way_mm: 1_000.0 * metres,
             turned: 0.0,
@@ -100,14 +100,14 @@ impl BlindTrip {
 
     /// Notes the robot's newest known pose.
     pub(super) fn told(&mut self, pose: Pose) {
-        let by = motion(self.told).inv_mul(&motion(pose));
-        self.since = self.since.plus(Variances::of_motion(&by));
-        self.told = pose;
+        let by = motion(self.newest).inv_mul(&motion(pose));
+        self.strayed = self.strayed.plus(Variances::of_motion(&by));
+        self.newest = pose;
     }
 
     /// The deviations of the robot's position and heading, as it estimates them.
     pub(super) fn deviations(&self) -> (Millimetres, Angle) {
-        self.reported.variances().plus(self.since).deviations()
+        self.reported.variances().plus(self.strayed).deviations()
     }
 
     /// Whether the robot has booted and was not found yet.
@@ -121,6 +121,7 @@ impl BlindTrip {
         if self.booted.is_none() {
             self.is_new = false;
             (self.at, self.reported) = (motion(pose), Reported::seen_at(pose));
+            (self.newest, self.strayed) = (pose, Variances::NONE);
             self.trail.add(pose, points, resolution);
         }
     }
@@ -160,7 +161,7 @@ impl BlindTrip {
         }
 
         let rolled = self.reported.rolled_to(vector.pose);
-        (self.told, self.since) = (vector.pose, Variances::of(0.0, 0.0));
+        (self.newest, self.strayed) = (vector.pose, Variances::NONE);
         let near = |trail: &Trail, pose| {
             Surfaces::about(pose, reach, resolution, |_| Tile::UNKNOWN, trail)
         };
@@ -200,6 +201,7 @@ impl BlindTrip {
         (self.way_mm, self.turned, self.booted) = (0.0, 0.0, None);
         self.at = motion(found.pose);
         (self.reported, self.drift) = (Reported::found_by(found), Drift::of_map());
+        (self.newest, self.strayed) = (found.pose, Variances::NONE);
     }
 
     /// Moves on by what the odometry says, and then by what the robot sees of its trail's surfaces `near` the

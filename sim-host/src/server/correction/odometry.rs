@@ -31,6 +31,9 @@ pub(super) struct Variances {
 }
 
 impl Variances {
+    /// Of a pose that is exactly known.
+    pub(super) const NONE: Self = Self { place: 0.0, turn: 0.0 };
+
     /// From standard deviations in millimetres and radians.
     pub(super) const fn of(place: f64, turn: f64) -> Self {
         Self { place: place * place, turn: turn * turn }
