@@ -258,3 +258,28 @@ pub(super) fn reach(points: &[[f64; 2]]) -> Millimetres {
     let farthest = points.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
     Millimetres(farthest as i32 + 300)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_that_drives_on_without_a_view_is_less_and_less_sure() {
+        let at = |x: f64, turn: f64| Pose::from_metres(x, 0.0, turn);
+        let mut trip = BlindTrip::after(Duration::default(), at(0.0, 0.0));
+        let degrees = |trip: &BlindTrip| trip.deviations().1.degrees();
+        let begins = degrees(&trip);
+        assert!((0.4..0.6).contains(&begins), "{begins}");
+        // Half a degree for each square root of a metre.
+        (1..=4).for_each(|metre| trip.told(at(f64::from(metre), 0.0)));
+        let driven = degrees(&trip);
+        assert!((driven - (begins * begins + 1.0).sqrt()).abs() < 0.02, "{driven}");
+        trip.told(at(4.0, 0.0));
+        assert_eq!(degrees(&trip), driven, "it stands");
+        // And a degree for each square root of a radian.
+        trip.told(at(4.0, 1.0));
+        assert!((degrees(&trip) - (driven * driven + 1.0).sqrt()).abs() < 0.02);
+        trip.remember(at(4.0, 1.0), &[], Millimetres(50));
+        assert_eq!(degrees(&trip), begins, "seen by a camera");
+    }
+}

@@ -165,6 +165,26 @@ fn robots_that_see_too_little_go_back_to_where_they_saw_enough() {
     assert!(known > 0.95, "{known}");
 }
 
+#[test]
+fn a_robot_that_goes_back_obeys_its_user() {
+    let mut floor = exploring(Plan::room(14.0, 14.0), &[Point::new(1.5, 7.0)], 1);
+    let errand = |floor: &Floor| floor.coordinator.errand(id(0));
+    let retreats = |floor: &Floor| matches!(errand(floor), Some(Errand::Retreats(_)));
+    floor.run(10, |floor| floor.bodies[0].place.x > 4.0);
+    floor.bodies[0].unsure_rad = 0.05;
+    assert!(floor.run(5, |floor| retreats(floor)), "{:?}", errand(&floor));
+    floor.coordinator.set_exploring(id(0), false);
+    assert_eq!(errand(&floor), Some(Errand::Idle));
+    floor.run(5, |_| false);
+    assert_eq!(errand(&floor), Some(Errand::Idle));
+    floor.coordinator.set_exploring(id(0), true);
+    assert!(floor.run(5, |floor| retreats(floor)), "{:?}", errand(&floor));
+    floor.coordinator.goal(id(0), 2.0, 6.0, floor.now).unwrap();
+    assert!(floor.run(60, |floor| floor.count(Notice::Reached) == 1), "{:?}", errand(&floor));
+    floor.bodies[0].unsure_rad = 0.0;
+    assert!(floor.run(5, |floor| matches!(errand(floor), Some(Errand::Looks(_)))));
+}
+
 /// Runs until all ground is known, or for a limited time. Checks that no two robots go to the same
 /// frontier at the same time. Returns the duration in seconds, the known fraction of the ground
 /// that can be seen, and the floor.
