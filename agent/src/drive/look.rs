@@ -72,7 +72,7 @@ impl Gaze {
                     place = (x.div_euclid(side), y);
                     read = ground(place.0, place.1);
                 }
-                let GroundRow { cells: Row { low, high }, covered, .. } = read;
+                let GroundRow { cells: Row { low, high }, covered } = read;
                 let has = |row: u32| row >> x.rem_euclid(side) & 1 != 0;
                 if has(high) {
                     break;
@@ -197,7 +197,7 @@ mod tests {
                         cells.low |= 1 << bit;
                     }
                 }
-                GroundRow { cells, ..GroundRow::default() }
+                GroundRow { cells, covered: 0 }
             });
             match look.turn(heading, gaze.half_view) {
                 Some(left) => degrees += if left { 5.0 } else { -5.0 },

@@ -237,8 +237,8 @@ fn squared_distance(from: Pose, x: Millimetres, y: Millimetres) -> i64 {
     way(x, from.x).pow(2) + way(y, from.y).pow(2)
 }
 
-/// The states of the 32 cells in a column of tiles and a row of cells: the server's, or the robot's own where the
-/// server's is unknown.
+/// The states of the 32 cells in a column of tiles and a row of cells: the server's, or the robot's
+/// own where the server's is unknown.
 fn ground(surroundings: &Surroundings<'_, '_>, column: i32, row: i32) -> GroundRow {
     let side = TILE_SIDE as i32;
     let Some(id) = TileId::of_cell(column.saturating_mul(side), row) else {
@@ -247,13 +247,11 @@ fn ground(surroundings: &Surroundings<'_, '_>, column: i32, row: i32) -> GroundR
     let y = row.rem_euclid(side) as usize;
     let around = surroundings.fused.around(id, surroundings.now);
     let mut cells = around.merged.map(|tile| tile.row(y)).unwrap_or_default();
-    let mut seen = 0;
     if let Some(own) = surroundings.own.find(id) {
         let (own, unknown) = (own.row(y), !(cells.low | cells.high));
         cells.low |= own.low & unknown;
         cells.high |= own.high & unknown;
-        seen = own.high & !own.low;
     }
     let covered = around.covered.and_then(|rows| rows.get(y)).copied().unwrap_or_default();
-    GroundRow { cells, covered, seen }
+    GroundRow { cells, covered }
 }

@@ -42,7 +42,7 @@ impl Rooms {
                 if self.is_wall(column * 32 + bit, row) { &mut cells.high } else { &mut cells.low };
             *plane |= 1 << bit;
         }
-        GroundRow { cells, ..GroundRow::default() }
+        GroundRow { cells, covered: 0 }
     }
 
     /// A window whose corner is cell (0, 0).

@@ -17,12 +17,6 @@ use crate::trigonometry::{radians, sin_cos};
 /// The coarsest level: each cell covers 4 x 4 map cells, the window 256 x 256.
 pub const MAX_LEVEL: u32 = 2;
 
-/// Distance in millimetres along both axes up to which what the robot has itself seen stand is in its way, whatever the
-/// map says: if its pose is off, the server's map is right, and what it must not touch is where it has drawn it. Farther
-/// away it may be a person who was seen a moment ago, before whom the robot stops earlier than before a wall, or a
-/// wall drawn before the pose was corrected.
-const BESIDE: i32 = 500;
-
 /// 32 cells of a map row: a row of a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GroundRow {
@@ -30,8 +24,6 @@ pub struct GroundRow {
     pub cells: Row,
     /// The cells covered by cameras.
     pub covered: u32,
-    /// Those where the robot has itself seen something stand, whatever `cells` says.
-    pub seen: u32,
 }
 
 /// A round object that is not on the map, or moves.
@@ -192,38 +184,27 @@ impl PlanningWindow {
         let columns = (2 << level) + 1;
         for y in 0..SIDE {
             let (mut free, mut movable, mut settled, mut fixed) = (0, 0, 0, 0);
-            let beside = self.beside(y);
             let row = south.saturating_add(y as i32).saturating_mul(1 << level);
             for column in column..column.saturating_add(columns) {
                 // The rows that share a cell, before their columns that do: fewer steps.
-                let mut merged = [0; 5];
+                let mut merged = [0; 4];
                 for row in row..row.saturating_add(1 << level) {
-                    let GroundRow { cells: Row { low, high }, covered, seen } = ground(column, row);
-                    let covered = if explore_covered { 0 } else { covered };
-                    let known = low | high | covered;
-                    let states = [low & !high, low & high, high & !low, known, seen];
+                    let GroundRow { cells: Row { low, high }, covered } = ground(column, row);
+                    let seen = if explore_covered { 0 } else { covered };
+                    let states = [low & !high, low & high, high & !low, low | high | seen];
                     merged.iter_mut().zip(states).for_each(|(merged, state)| *merged |= state);
                 }
                 let east = column.saturating_mul(TILE_SIDE as i32).saturating_sub(first);
                 let at = |cells| shifted(squeezed(cells, level), east >> level);
                 free |= at(merged[0]);
                 movable |= at(merged[1]);
-                fixed |= at(merged[2]) | at(merged[4]) & beside;
+                fixed |= at(merged[2]);
                 settled |= at(merged[3]);
             }
             *self.free.row_mut(y) = free | movable;
             *self.dear.row_mut(y) = movable;
             *self.frontier.row_mut(y) = !settled;
             *occupied.row_mut(y) = fixed;
-        }
-    }
-
-    /// The cells of a row that are within [`BESIDE`] of the robot along both axes.
-    fn beside(&self, y: usize) -> u64 {
-        let near = (BESIDE / self.cell.max(1)).min(SIDE as i32 / 2 - 1) as usize;
-        match y.abs_diff(SIDE / 2) <= near {
-            true => !(u64::MAX << (2 * near + 1)) << (SIDE / 2 - near),
-            false => 0,
         }
     }
 
@@ -525,39 +506,6 @@ fn inflate(occupied: &Plane, reach: i64, cell: i32, near: &mut Plane) {
                     *near.row_mut(y + aside) |= cells;
                 }
             }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_a_robot_saw_stand_beside_it_is_in_its_way_though_the_map_says_that_it_is_free() {
-        let middle = Millimetres(32 * 50);
-        let near = NearPoints::default();
-        let view = WindowInputs {
-            pose: Pose { x: middle, y: middle, ..Pose::default() },
-            resolution: Millimetres(50),
-            level: 0,
-            radius: 0,
-            near: &near,
-            movers: &[],
-            given_up: &[],
-            explore_covered: true,
-        };
-        let free = Row { low: u32::MAX, high: 0 };
-        let mut window = PlanningWindow::EMPTY;
-        for (x, y) in (2..62i32).flat_map(|y| (2..62i32).map(move |x| (x, y))) {
-            window.fill(&view, |column, row| {
-                let is_here = (column, row) == (x / 32, y);
-                GroundRow { cells: free, covered: 0, seen: u32::from(is_here) << (x % 32) }
-            });
-            let (east, north) = (x - 32, y - 32);
-            let is_beside = east.abs() <= 10 && north.abs() <= 10;
-            let place = Place { x: x as u8, y: y as u8 };
-            assert_eq!(window.free.has(place), !is_beside, "{east}, {north}");
         }
     }
 }

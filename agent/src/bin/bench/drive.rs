@@ -71,7 +71,7 @@ impl Scene {
             let wall = !inside || self.is_wall(x, row);
             *(if wall { &mut cells.high } else { &mut cells.low }) |= 1 << bit;
         }
-        GroundRow { cells, covered: u32::MAX, seen: cells.high }
+        GroundRow { cells, covered: u32::MAX }
     }
 }
 

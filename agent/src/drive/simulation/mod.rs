@@ -224,7 +224,7 @@ impl Simulation {
         let inside = (0..COLUMNS as i32).contains(&column) && (0..ROWS as i32).contains(&row);
         let index = (row * COLUMNS as i32 + column) as usize;
         let cells = if inside { map[index] } else { Row::default() };
-        GroundRow { cells, ..GroundRow::default() }
+        GroundRow { cells, covered: 0 }
     }
 
     fn pose((x, y, heading): (f64, f64, f64)) -> Pose {

@@ -380,7 +380,7 @@ proptest! {
             for _ in 0..8 {
                 let command = driver.step(&inputs, |column, row| {
                     let covered = (column ^ row) as u32;
-                    GroundRow { cells, covered, seen: 0 }
+                    GroundRow { cells, covered }
                 });
                 let motion = Motion::default();
                 prop_assert!((0..=motion.top_speed as i16).contains(&command.speed));
