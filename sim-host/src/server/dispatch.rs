@@ -2,11 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use ubimap_protocol::{
-    message::EventCode,
-    time::Instant,
-    units::{Angle, Millimetres, RobotId},
-};
+use ubimap_protocol::{message::EventCode, time::Instant, units::RobotId};
 
 use super::{
     command::Command,
@@ -93,7 +89,6 @@ impl Dispatch {
         &mut self,
         snapshot: &Snapshot<'_>,
         is_reachable: impl Fn(RobotId) -> bool,
-        deviations: impl Fn(RobotId) -> (Millimetres, Angle),
         now: Instant,
     ) -> bool {
         if now < self.poll_timeout() {
@@ -102,8 +97,7 @@ impl Dispatch {
         let robots = snapshot.surroundings.robots().map(|(robot, place, footprint)| {
             let obeys = is_reachable(robot) && !self.held.contains(&robot);
             let (moment, pose, is_in_view) = (place.moment, place.pose, place.is_in_view());
-            let deviations = deviations(robot);
-            Whereabouts { robot, moment, pose, deviations, is_in_view, footprint, obeys }
+            Whereabouts { robot, moment, pose, is_in_view, footprint, obeys }
         });
         let robots: Vec<Whereabouts> = robots.collect();
         let obstacles = snapshot.surroundings.all_obstacles().into_iter();

@@ -464,13 +464,7 @@ impl Server {
     fn dispatch(&mut self, now: Instant) {
         let Some(mut dispatch) = self.dispatch.take() else { return };
         let is_reachable = |robot| self.ports.session(robot).is_some_and(|it| it.is_reachable(now));
-        if dispatch.poll_timeout() <= now {
-            for (robot, place, _) in self.surroundings.robots() {
-                self.corrections.told(robot, place.moment, place.pose);
-            }
-        }
-        let deviations = |robot| self.corrections.deviations(robot);
-        if dispatch.tick(&self.snapshot(), is_reachable, deviations, now) {
+        if dispatch.tick(&self.snapshot(), is_reachable, now) {
             while let Some((robot, notice)) = dispatch.poll_notice() {
                 self.events.add(now, Event::Drive(robot, notice));
             }

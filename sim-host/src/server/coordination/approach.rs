@@ -45,7 +45,7 @@ impl Approach<'_> {
     pub(super) fn before(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
         let ways = self.terrain.everywhere(self.from);
         let view = |at| {
-            let cost_m = ways.as_ref()?.metres(at).filter(|_| self.terrain.is_open(at))?;
+            let cost_m = ways.as_ref()?.metres(at)?;
             Some(Viewpoint { place: self.ground.place(at), cost_m })
         };
         let is_afresh = |view: &Viewpoint| (view.place - self.from).norm() >= self.rules.afresh_m;
@@ -65,9 +65,6 @@ impl Approach<'_> {
 
     fn view(&self, frontier: &Frontier, ways: &Ways<'_>) -> Option<Viewpoint> {
         let view = |&Vantage { at, away_m, is_backed }: &Vantage| {
-            if !self.terrain.is_open(at) {
-                return None;
-            }
             let place = self.ground.place(at);
             let waiting = if self.in_the_way[at] { self.rules.wait_m } else { 0.0 };
             let cost_m = ways.metres(at)? + self.turn_m(place) + waiting;

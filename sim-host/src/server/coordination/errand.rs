@@ -17,8 +17,6 @@ pub enum Errand {
     Returns([f64; 2]),
     /// It has driven far out of the cameras' view, where its pose drifts, and returns into view at that place.
     Recalled([f64; 2]),
-    /// It saw too little to know well where it is, and goes back to that place, where it did.
-    Retreats([f64; 2]),
     /// It drives to a goal in `map`, in metres.
     Goal([f64; 2]),
     /// There is no way to its goal at present.
@@ -38,9 +36,7 @@ impl Coordinator {
         let place = |point: Point| [point.x, point.y];
         let goal = member.goal.map(place);
         let target = member.target.map(|target| place(target.frontier));
-        if let Some(trouble) =
-            member.trouble.filter(|_| member.halted.is_some() && !member.is_retreating())
-        {
+        if let Some(trouble) = member.trouble.filter(|_| member.halted.is_some()) {
             return Some(Errand::Blocked(trouble.times));
         }
         Some(match (goal, target) {
@@ -48,8 +44,7 @@ impl Coordinator {
             (Some(goal), _) if member.is_told => Errand::NoWay(goal),
             (Some(goal), _) => Errand::Goal(goal),
             (None, Some(frontier)) => Errand::Looks(frontier),
-            (None, None) if member.is_retreating() => Errand::Retreats(member.refuge.map(place)?),
-            (None, None) if member.explores && member.recall.is_none() => {
+            (None, None) if member.recall.is_none() => {
                 member.refuge.map_or(Errand::Waits, |it| Errand::Recalled(place(it)))
             }
             (None, None) if member.refuge.is_some() => Errand::Returns(member.refuge.map(place)?),
@@ -77,12 +72,6 @@ impl fmt::Display for Errand {
                 write!(
                     f,
                     "explores; its pose may have drifted, so that it comes into view at {x:.2} m, {y:.2} m"
-                )
-            }
-            Self::Retreats([x, y]) => {
-                write!(
-                    f,
-                    "explores; it sees too little to know well where it is, so that it goes back to {x:.2} m, {y:.2} m"
                 )
             }
             Self::Blocked(1) => write!(f, "was blocked, and gets another path"),

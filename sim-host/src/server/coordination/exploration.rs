@@ -7,8 +7,7 @@ use super::{
     assignment::{NEVER, assign},
     coordinator::Coordinator,
     frontiers::{Frontier, frontiers},
-    ground::{Disc, Ground, Point},
-    member::Sureness,
+    ground::{Disc, Ground},
     target::{Target, Tried},
 };
 
@@ -22,7 +21,6 @@ impl Coordinator {
             self.frontiers = frontiers(&ground, &self.settings);
         }
         self.drop_targets(now);
-        self.retreat(&ground, now);
         self.call_back(&ground, now);
         self.assign_targets(&ground, now);
         self.send_back(&ground, now);
@@ -72,55 +70,13 @@ impl Coordinator {
         }
     }
 
-    /// Sends robots that see too little to know well where they are back to the nearest place where they did; from
-    /// there, if they still see too little, to the next.
-    fn retreat(&mut self, ground: &Ground, now: Instant) {
-        let rules = self.settings.exploration;
-        for index in 0..self.members.len() {
-            let member = &mut self.members[index];
-            if !member.is_exploring() {
-                continue;
-            }
-            if member.is_retreating() && member.sureness == Sureness::Sure {
-                member.refuge = None;
-                self.reservations.drop_ahead(index);
-            }
-            if member.is_retreating() || member.sureness != Sureness::Unsure {
-                continue;
-            }
-            member.retreats = false;
-            let places = core::mem::take(&mut member.sure_at);
-            let is_near = |it: &Point, place: Point| (*it - place).norm() <= rules.within_m;
-            let refuge = match places.is_empty() {
-                true => None,
-                false => self.nearest(ground, index, |disc| {
-                    places.iter().any(|it| is_near(it, disc.centre))
-                }),
-            };
-            let Some(refuge) = refuge else {
-                // Others may be in the way.
-                self.members[index].sure_at = places;
-                continue;
-            };
-            self.put_off_target(index, now + rules.put_off);
-            let member = &mut self.members[index];
-            // If it sees too little there as well, that place is not tried again.
-            member.sure_at = places.into_iter().filter(|it| !is_near(it, refuge)).collect();
-            (member.refuge, member.retreats) = (Some(refuge), true);
-            // If it was on its way into view, it sees too little on that.
-            member.recall.get_or_insert(now + rules.recall_again);
-            // At once, not at the end of the ground that it was granted.
-            self.halt(index, now);
-        }
-    }
-
     /// Calls robots back into the cameras' view whose poses may have drifted, and lets those that cameras have
     /// seen again go on.
     fn call_back(&mut self, ground: &Ground, now: Instant) {
         let rules = self.settings.exploration;
         for index in 0..self.members.len() {
             let member = &mut self.members[index];
-            if !member.is_exploring() || member.is_retreating() {
+            if !member.is_exploring() {
                 continue;
             }
             let is_adrift = member.is_adrift(rules.blind_m);
@@ -168,7 +124,14 @@ impl Coordinator {
     /// Sends a robot to the nearest place in the cameras' view that no other robot stands on or is to cross.
     /// Returns whether there is one.
     fn take_refuge(&mut self, ground: &Ground, index: usize, now: Instant) -> bool {
-        let refuge = self.nearest(ground, index, |disc| ground.is_in_view(disc));
+        let radius = self.members[index].radius_m + self.settings.exploration.within_m;
+        let approach = self.approach(ground, index, &[]);
+        let suits = |at| {
+            let disc = Disc { centre: ground.place(at), radius };
+            approach.terrain.is_open(at) && !approach.in_the_way[at] && ground.is_in_view(&disc)
+        };
+        let route = approach.terrain.nearest(approach.from, suits);
+        let refuge = route.and_then(|route| route.last().copied());
         if refuge.is_some() {
             let member = &mut self.members[index];
             member.refuge = refuge;
@@ -176,23 +139,6 @@ impl Coordinator {
             self.reservations.drop_ahead(index);
         }
         refuge.is_some()
-    }
-
-    /// The nearest place that suits a robot, and that no other one stands on or is to cross.
-    fn nearest(
-        &self,
-        ground: &Ground,
-        index: usize,
-        suits: impl Fn(&Disc) -> bool,
-    ) -> Option<Point> {
-        let radius = self.members[index].radius_m + self.settings.exploration.within_m;
-        let approach = self.approach(ground, index, &[]);
-        let will_do = |at| {
-            let disc = Disc { centre: ground.place(at), radius };
-            approach.terrain.is_open(at) && !approach.in_the_way[at] && suits(&disc)
-        };
-        let route = approach.terrain.nearest(approach.from, will_do)?;
-        route.last().copied()
     }
 
     /// The frontiers that are no robot's target and have not been given up.

@@ -38,8 +38,7 @@ impl Coordinator {
     }
 
     fn see_again(&mut self, index: usize, robot: &Whereabouts, now: Instant) {
-        let rules = (&self.settings.following, &self.settings.exploration);
-        let is_back = self.members[index].see(robot, rules, now);
+        let is_back = self.members[index].see(robot, &self.settings.following, now);
         let is_busy = self.members[index].explores || self.members[index].goal.is_some();
         let claim = self.reservations.claim_mut(index);
         claim.set_radius(robot.radius_m(), !is_busy && claim.is_at_end());
@@ -146,8 +145,7 @@ impl Coordinator {
         }
     }
 
-    /// Stops a robot; once it stands, it gets another route.
-    pub(super) fn halt(&mut self, index: usize, now: Instant) {
+    fn halt(&mut self, index: usize, now: Instant) {
         self.members[index].halted = Some(now);
         self.command(index, &[], now);
     }

@@ -7,13 +7,10 @@ use ubimap_protocol::{
 
 use super::{
     ground::Point,
-    settings::{EscalationRules, ExplorationRules, FollowingRules},
+    settings::{EscalationRules, FollowingRules},
     situation::Whereabouts,
     target::Target,
 };
-
-/// Maximum number of places where a robot knew well where it was that are remembered.
-const REMEMBERED: usize = 16;
 
 /// One robot.
 #[derive(Clone, Debug)]
@@ -34,11 +31,6 @@ pub(super) struct Member {
     driven_m: f64,
     /// When it may next be called back into view for that; `None` while it is called back.
     pub(super) recall: Option<Instant>,
-    pub(super) sureness: Sureness,
-    /// Where it knew well where it was, the latest place last.
-    pub(super) sure_at: Vec<Point>,
-    /// Whether `refuge` is such a place.
-    pub(super) retreats: bool,
     /// Since when it has had nothing to do.
     pub(super) idle_since: Option<Instant>,
     /// When the robot was told to stop in order to get another route; `None` if it was not.
@@ -64,17 +56,6 @@ pub(super) struct Member {
     seen: Instant,
 }
 
-/// How well a robot knows where it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Sureness {
-    /// Well.
-    Sure,
-    /// Not well, but well enough to go on.
-    Middling,
-    /// So badly that it has to go back.
-    Unsure,
-}
-
 /// A place where a robot was blocked.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Trouble {
@@ -97,9 +78,6 @@ impl Member {
             refuge: None,
             driven_m: 0.0,
             recall: Some(Instant(0)),
-            sureness: Sureness::Sure,
-            sure_at: Vec::new(),
-            retreats: false,
             idle_since: None,
             halted: None,
             trouble: None,
@@ -122,19 +100,10 @@ impl Member {
     pub(super) fn see(
         &mut self,
         robot: &Whereabouts,
-        (rules, limits): (&FollowingRules, &ExplorationRules),
+        rules: &FollowingRules,
         now: Instant,
     ) -> bool {
         self.radius_m = robot.radius_m();
-        let (place, turn) = (robot.deviations.0.metres(), robot.deviations.1.radians());
-        self.sureness = if place <= limits.sure.0 && turn <= limits.sure.1 {
-            self.remember(robot.place(), limits.apart_m);
-            Sureness::Sure
-        } else if place > limits.unsure.0 || turn > limits.unsure.1 {
-            Sureness::Unsure
-        } else {
-            Sureness::Middling
-        };
         self.heading = robot.pose.heading.radians();
         self.seen = self.seen.max(robot.moment);
         let step_m = (robot.place() - core::mem::replace(&mut self.place, robot.place())).norm();
@@ -145,16 +114,6 @@ impl Member {
         let was_lost = self.lost.is_some();
         self.lost = (!robot.obeys).then(|| self.lost.unwrap_or(now));
         was_lost && robot.obeys
-    }
-
-    /// Remembers a place where the robot knew well where it was, unless one is near.
-    fn remember(&mut self, place: Point, apart_m: f64) {
-        if self.sure_at.last().is_none_or(|last| (last - place).norm() > apart_m) {
-            if self.sure_at.len() == REMEMBERED {
-                self.sure_at.remove(0);
-            }
-            self.sure_at.push(place);
-        }
     }
 
     /// Time for which the robot has been seen standing still.
@@ -175,15 +134,7 @@ impl Member {
 
     /// Whether the robot may be given something to look at.
     pub(super) fn is_idle(&self) -> bool {
-        self.is_exploring()
-            && self.target.is_none()
-            && self.recall.is_some()
-            && !self.is_retreating()
-    }
-
-    /// Whether the robot is on its way back to a place where it knew well where it was.
-    pub(super) fn is_retreating(&self) -> bool {
-        self.retreats && self.refuge.is_some()
+        self.is_exploring() && self.target.is_none() && self.recall.is_some()
     }
 
     /// Whether the robot explores now.

@@ -44,8 +44,6 @@ pub(super) struct Terrain<'a> {
     weights: Vec<u8>,
     /// The cost factor of ground with little clearance.
     tight: u8,
-    /// Least squared distance in cells to the nearest wall of a place that the robot is sent to.
-    stands: u32,
 }
 
 impl<'a> Terrain<'a> {
@@ -59,18 +57,16 @@ impl<'a> Terrain<'a> {
             (cells * cells).ceil() as u32
         };
         let (least, roomy) = (squared(room_m), squared(room_m + settings.clearances.spare_m));
-        let narrowest = squared(room_m - settings.clearances.give_m);
         let weight = |at| match (ground.to_wall(at), ground.to_movable(at)) {
-            (wall, _) if wall < narrowest => SHUT,
+            (wall, _) if wall < least => SHUT,
             // A robot that has drawn the cell itself, which the server has forgotten, may cross it.
             _ if !ground.is_trusted(at) => costs.unknown.min(MAX_WEIGHT),
-            (wall, _) if wall < least => costs.narrow.min(MAX_WEIGHT),
             (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
             (wall, movable) if wall.min(movable) < roomy => costs.tight.min(MAX_WEIGHT),
             _ => ROOMY,
         };
         let weights = (0..ground.len()).map(weight).collect();
-        Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT), stands: least }
+        Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT) }
     }
 
     /// Raises the cost factor in a disc to `weight`, at most to [`MAX_WEIGHT`].
@@ -90,9 +86,9 @@ impl<'a> Terrain<'a> {
         ground.within(&Disc { radius, ..*disc }, |at| weights[at] = SHUT);
     }
 
-    /// Whether the robot may be sent to a cell.
+    /// Whether the robot may stand in a cell.
     pub(super) fn is_open(&self, at: usize) -> bool {
-        self.weights[at] != SHUT && self.ground.to_wall(at) >= self.stands
+        self.weights[at] != SHUT
     }
 
     /// The cheapest routes from a place to all cells. `None` if the place is outside of the ground.
@@ -304,30 +300,6 @@ mod tests {
             None,
             "the door is too narrow"
         );
-    }
-
-    #[test]
-    fn a_narrow_door_is_passed_if_there_is_no_other_way_and_no_place_to_stand() {
-        let mut plan = Plan::room(6.0, 4.0);
-        plan.wall(2.9, 0.0, 3.1, 1.7);
-        let mut shut = plan.clone();
-        shut.wall(2.9, 2.3, 3.1, 4.0);
-        let ground = drawn(&shut, |_, _| false);
-        let (from, to, door) = (Point::new(1.0, 2.0), Point::new(5.0, 2.0), Point::new(3.0, 2.0));
-        let terrain = |room_m: f64| Terrain::new(&ground, room_m, &Settings::default());
-        // 0.6 m wide: 0.3 m to both sides, of which half a cell is doubtful.
-        for (room_m, passes, stands) in
-            [(0.24, true, true), (0.28, true, false), (0.33, false, false)]
-        {
-            let terrain = terrain(room_m);
-            assert_eq!(terrain.route(from, to).is_some(), passes, "{room_m}");
-            assert_eq!(terrain.is_open(ground.at(door).unwrap()), stands, "{room_m}");
-        }
-        // With another door, the way through that is taken, if it is not too long.
-        plan.wall(2.9, 2.3, 3.1, 2.9);
-        let ground = drawn(&plan, |_, _| false);
-        let terrain = Terrain::new(&ground, 0.28, &Settings::default());
-        assert!(length(&terrain.route(from, to).unwrap()) > 4.2);
     }
 
     #[test]

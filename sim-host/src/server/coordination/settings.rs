@@ -97,9 +97,6 @@ pub struct Clearances {
     /// From walls, for planning: the 3 cm that a robot's own driver keeps, plus the error of walls
     /// drawn in cells of 5 cm.
     pub wall_m: f64,
-    /// By how much less will do to pass where there is no other way, as in a narrow door: a robot's own planner keeps
-    /// its 3 cm and half the diagonal of a cell.
-    pub give_m: f64,
     /// Minimum additional clearance of ground that counts as open. Ground with less costs more, so
     /// that routes keep away from walls where possible.
     pub spare_m: f64,
@@ -115,14 +112,7 @@ pub struct Clearances {
 
 impl Default for Clearances {
     fn default() -> Self {
-        Self {
-            wall_m: 0.08,
-            give_m: 0.015,
-            spare_m: 0.1,
-            route_m: 0.1,
-            person_m: 0.1,
-            trodden_m: 0.3,
-        }
+        Self { wall_m: 0.08, spare_m: 0.1, route_m: 0.1, person_m: 0.1, trodden_m: 0.3 }
     }
 }
 
@@ -247,8 +237,6 @@ impl Default for GrantingRules {
 pub struct CrossingCosts {
     /// Cost of ground with little clearance: 1.5 times that of open ground.
     pub tight: u8,
-    /// Cost of ground with less clearance than [`Clearances::wall_m`].
-    pub narrow: u8,
     /// Cost of ground last seen occupied by something movable.
     pub movable: u8,
     /// Cost of unknown ground at the edge of known ground, on which a robot's own planner does not drive.
@@ -269,7 +257,6 @@ impl Default for CrossingCosts {
     fn default() -> Self {
         Self {
             tight: 3,
-            narrow: 24,
             movable: 12,
             unknown: 40,
             standing: 12,
@@ -384,13 +371,6 @@ pub struct ExplorationRules {
     pub blind_m: f64,
     /// How far within the view such a place is, in metres: the robot's pose may be off.
     pub within_m: f64,
-    /// Deviations, in metres and radians, with which a robot knows well where it is.
-    pub sure: (f64, f64),
-    /// Those beyond which one that explores goes back to where it last did: it sees too little, and would soon stand,
-    /// lost (15 cm or 3 degrees).
-    pub unsure: (f64, f64),
-    /// Minimum distance between two places that are remembered for that, in metres.
-    pub apart_m: f64,
     /// Time for which it explores on if it can't come into view.
     pub recall_again: Duration,
     /// Time after which a robot that finds nothing to look at returns to where cameras see it; `None` to
@@ -412,9 +392,6 @@ impl Default for ExplorationRules {
             put_off: Duration::from_secs(20),
             blind_m: 15.0,
             within_m: 0.3,
-            sure: (0.05, 0.021),
-            unsure: (0.1, 0.035),
-            apart_m: 1.0,
             recall_again: Duration::from_secs(30),
             returns_after: None,
         }

@@ -6,7 +6,7 @@ use nalgebra::Vector2;
 use ubimap_protocol::{
     message::Obstacle,
     time::Instant,
-    units::{Angle, Millimetres, Pose, RobotId},
+    units::{Pose, RobotId},
 };
 
 use super::ground::{Disc, Point};
@@ -34,9 +34,6 @@ pub struct Whereabouts {
     pub moment: Instant,
     /// The pose of `base_link` in `map`.
     pub pose: Pose,
-    /// The standard deviations of the position and the heading out of the cameras' view, as the robot estimates them;
-    /// zero where cameras see it.
-    pub deviations: (Millimetres, Angle),
     /// Whether cameras saw the robot at that time or shortly before.
     pub is_in_view: bool,
     /// The robot's footprint.

@@ -57,9 +57,6 @@ pub(super) struct BlindTrip {
     /// Where the robot was in its last view.
     at: Motion,
     reported: Reported,
-    /// The robot's newest known pose, and by how much its odometry may have strayed up to there since the last view.
-    newest: Pose,
-    strayed: Variances,
     drift: Drift,
     /// Distance driven in millimetres, and angle turned in radians, since the robot's pose was last
     /// known from cameras or a match.
@@ -82,8 +79,6 @@ impl BlindTrip {
             trail: Trail::default(),
             at: motion(last),
             reported: Reported::seen_at(last),
-            newest: last,
-            strayed: Variances::NONE,
             drift,
             way_mm: 1_000.0 * metres,
             turned: 0.0,
@@ -98,18 +93,6 @@ impl BlindTrip {
         Self { booted, ..Self::after(Duration::default(), place.pose) }
     }
 
-    /// Notes the robot's newest known pose.
-    pub(super) fn told(&mut self, pose: Pose) {
-        let by = motion(self.newest).inv_mul(&motion(pose));
-        self.strayed = self.strayed.plus(Variances::of_motion(&by));
-        self.newest = pose;
-    }
-
-    /// The deviations of the robot's position and heading, as it estimates them.
-    pub(super) fn deviations(&self) -> (Millimetres, Angle) {
-        self.reported.variances().plus(self.strayed).deviations()
-    }
-
     /// Whether the robot has booted and was not found yet.
     pub(super) fn is_sought(&self) -> bool {
         self.booted.is_some()
@@ -121,7 +104,6 @@ impl BlindTrip {
         if self.booted.is_none() {
             self.is_new = false;
             (self.at, self.reported) = (motion(pose), Reported::seen_at(pose));
-            (self.newest, self.strayed) = (pose, Variances::NONE);
             self.trail.add(pose, points, resolution);
         }
     }
@@ -161,7 +143,6 @@ impl BlindTrip {
         }
 
         let rolled = self.reported.rolled_to(vector.pose);
-        (self.newest, self.strayed) = (vector.pose, Variances::NONE);
         let near = |trail: &Trail, pose| {
             Surfaces::about(pose, reach, resolution, |_| Tile::UNKNOWN, trail)
         };
@@ -201,7 +182,6 @@ impl BlindTrip {
         (self.way_mm, self.turned, self.booted) = (0.0, 0.0, None);
         self.at = motion(found.pose);
         (self.reported, self.drift) = (Reported::found_by(found), Drift::of_map());
-        (self.newest, self.strayed) = (found.pose, Variances::NONE);
     }
 
     /// Moves on by what the odometry says, and then by what the robot sees of its trail's surfaces `near` the
@@ -257,29 +237,4 @@ impl BlindTrip {
 pub(super) fn reach(points: &[[f64; 2]]) -> Millimetres {
     let farthest = points.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
     Millimetres(farthest as i32 + 300)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_robot_that_drives_on_without_a_view_is_less_and_less_sure() {
-        let at = |x: f64, turn: f64| Pose::from_metres(x, 0.0, turn);
-        let mut trip = BlindTrip::after(Duration::default(), at(0.0, 0.0));
-        let degrees = |trip: &BlindTrip| trip.deviations().1.degrees();
-        let begins = degrees(&trip);
-        assert!((0.4..0.6).contains(&begins), "{begins}");
-        // Half a degree for each square root of a metre.
-        (1..=4).for_each(|metre| trip.told(at(f64::from(metre), 0.0)));
-        let driven = degrees(&trip);
-        assert!((driven - (begins * begins + 1.0).sqrt()).abs() < 0.02, "{driven}");
-        trip.told(at(4.0, 0.0));
-        assert_eq!(degrees(&trip), driven, "it stands");
-        // And a degree for each square root of a radian.
-        trip.told(at(4.0, 1.0));
-        assert!((degrees(&trip) - (driven * driven + 1.0).sqrt()).abs() < 0.02);
-        trip.remember(at(4.0, 1.0), &[], Millimetres(50));
-        assert_eq!(degrees(&trip), begins, "seen by a camera");
-    }
 }

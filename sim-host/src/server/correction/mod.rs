@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, VecDeque};
 use ubimap_protocol::{
     tile::Epoch,
     time::{Duration, Instant},
-    units::{Angle, Millimetres, Pose, RobotId},
+    units::{Millimetres, Pose, RobotId},
 };
 
 use self::{
@@ -88,18 +88,6 @@ impl Corrections {
     /// Whether a robot has booted out of view and was not found yet.
     pub(super) fn is_sought(&self, robot: RobotId) -> bool {
         self.robots.get(&robot).is_some_and(RobotCorrection::is_sought)
-    }
-
-    /// Notes the newest pose that is known of a robot.
-    pub(super) fn told(&mut self, robot: RobotId, moment: Instant, pose: Pose) {
-        if let Some(correction) = self.robots.get_mut(&robot) {
-            correction.told(moment, pose);
-        }
-    }
-
-    /// The deviations of a robot's position and heading out of view, as it estimates them; otherwise zero.
-    pub(super) fn deviations(&self, robot: RobotId) -> (Millimetres, Angle) {
-        self.robots.get(&robot).map(RobotCorrection::deviations).unwrap_or_default()
     }
 
     /// The robot whose distance vector has waited longest.

@@ -31,9 +31,6 @@ pub(super) struct Variances {
 }
 
 impl Variances {
-    /// Of a pose that is exactly known.
-    pub(super) const NONE: Self = Self { place: 0.0, turn: 0.0 };
-
     /// From standard deviations in millimetres and radians.
     pub(super) const fn of(place: f64, turn: f64) -> Self {
         Self { place: place * place, turn: turn * turn }
@@ -108,11 +105,6 @@ impl Reported {
     pub(super) fn found_by(fix: &Match) -> Self {
         let [x, y, turn] = fix.deviations();
         Self { pose: fix.pose, fix: None, variances: Variances::of(x.max(y), turn) }
-    }
-
-    /// The variances of the robot's pose, as it estimates them.
-    pub(super) fn variances(&self) -> Variances {
-        self.variances
     }
 
     /// How the robot has moved by its odometry when it reports its next pose.

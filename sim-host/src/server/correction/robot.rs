@@ -93,20 +93,6 @@ impl RobotCorrection {
         self.blind = Some(BlindTrip::about(about));
     }
 
-    /// Notes the robot's newest known pose, from cameras or its own reports.
-    pub(super) fn told(&mut self, moment: Instant, pose: Pose) {
-        let newest = self.fixes.back().map_or(Instant(0), |&(newest, _)| newest);
-        let unseen = moment.since(newest);
-        if unseen >= OUT_OF_VIEW {
-            self.blind.get_or_insert_with(|| BlindTrip::after(unseen, pose)).told(pose);
-        }
-    }
-
-    /// The deviations of its position and heading out of view, as it estimates them; otherwise zero.
-    pub(super) fn deviations(&self) -> (Millimetres, Angle) {
-        self.blind.as_ref().map(BlindTrip::deviations).unwrap_or_default()
-    }
-
     /// Whether the robot has booted out of view and was not found yet.
     pub(super) fn is_sought(&self) -> bool {
         self.blind.as_ref().is_some_and(BlindTrip::is_sought)

@@ -132,59 +132,6 @@ fn robots_come_into_view_before_their_poses_drift_far() {
     assert!(f64::from(known) > 0.99 * f64::from(all), "all is explored: {known} of {all} cells");
 }
 
-/// Robots know where they are within 3 m of the walls of a hall, and are off by a degree more for each metre beyond.
-#[test]
-fn robots_that_see_too_little_go_back_to_where_they_saw_enough() {
-    let [(endless, _), (retreating, known)] = [f64::INFINITY, 0.035].map(|unsure| {
-        let mut floor = exploring(Plan::room(14.0, 14.0), &[Point::new(1.5, 7.0)], 1);
-        floor.coordinator.settings.exploration.unsure.1 = unsure;
-        let (mut most, mut retreats, mut looked) = (0.0_f64, 0, 0);
-        let mut before = None;
-        floor.run(200, |floor| {
-            if floor.now.micros() / 1_000_000 != looked {
-                looked = floor.now.micros() / 1_000_000;
-                floor.look_around();
-            }
-            let room_m = floor.plan.room_around(floor.bodies[0].place);
-            let body = &mut floor.bodies[0];
-            body.unsure_rad = (room_m - 3.0).max(0.0).to_radians();
-            most = most.max(body.unsure_rad);
-            let errand = floor.coordinator.errand(id(0));
-            let is_new = matches!(errand, Some(Errand::Retreats(_))) && errand != before;
-            retreats += u32::from(is_new);
-            before = errand;
-            false
-        });
-        assert_eq!(retreats > 0, unsure.is_finite(), "{retreats}");
-        assert!(!floor.is_blocked());
-        (most.to_degrees(), f64::from(known(&floor).0) / f64::from(known(&floor).1))
-    });
-    println!("at most {endless:.1} degrees; with retreats {retreating:.1}, {known:.3} known");
-    // It brakes, and turns round.
-    assert!(endless > 3.5 && retreating < 2.5, "{endless}, {retreating}");
-    assert!(known > 0.95, "{known}");
-}
-
-#[test]
-fn a_robot_that_goes_back_obeys_its_user() {
-    let mut floor = exploring(Plan::room(14.0, 14.0), &[Point::new(1.5, 7.0)], 1);
-    let errand = |floor: &Floor| floor.coordinator.errand(id(0));
-    let retreats = |floor: &Floor| matches!(errand(floor), Some(Errand::Retreats(_)));
-    floor.run(10, |floor| floor.bodies[0].place.x > 4.0);
-    floor.bodies[0].unsure_rad = 0.05;
-    assert!(floor.run(5, |floor| retreats(floor)), "{:?}", errand(&floor));
-    floor.coordinator.set_exploring(id(0), false);
-    assert_eq!(errand(&floor), Some(Errand::Idle));
-    floor.run(5, |_| false);
-    assert_eq!(errand(&floor), Some(Errand::Idle));
-    floor.coordinator.set_exploring(id(0), true);
-    assert!(floor.run(5, |floor| retreats(floor)), "{:?}", errand(&floor));
-    floor.coordinator.goal(id(0), 2.0, 6.0, floor.now).unwrap();
-    assert!(floor.run(60, |floor| floor.count(Notice::Reached) == 1), "{:?}", errand(&floor));
-    floor.bodies[0].unsure_rad = 0.0;
-    assert!(floor.run(5, |floor| matches!(errand(floor), Some(Errand::Looks(_)))));
-}
-
 /// Runs until all ground is known, or for a limited time. Checks that no two robots go to the same
 /// frontier at the same time. Returns the duration in seconds, the known fraction of the ground
 /// that can be seen, and the floor.

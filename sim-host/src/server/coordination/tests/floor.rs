@@ -43,8 +43,6 @@ pub(super) struct Body {
     reports: VecDeque<(Instant, Instant, Point)>,
     reported: (Instant, Point),
     pub(super) driven: f64,
-    /// Standard deviation of its heading.
-    pub(super) unsure_rad: f64,
 }
 
 pub(super) struct Floor {
@@ -102,7 +100,6 @@ impl Floor {
             reports: VecDeque::new(),
             reported: (Instant(0), place),
             driven: 0.0,
-            unsure_rad: 0.0,
         };
         let bodies = starts.iter().map(body).collect();
         let settings = Settings {
@@ -260,7 +257,6 @@ impl Floor {
                 y: Millimetres::from_metres(body.reported.1.y),
                 heading: Angle(0),
             },
-            deviations: (Millimetres(0), Angle::from_radians(body.unsure_rad)),
             is_in_view: self.is_in_view(body.reported.1),
             footprint: Footprint::default(),
             obeys: body.obeys,
