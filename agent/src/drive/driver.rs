@@ -116,7 +116,7 @@ pub struct Driver<'b> {
     last: Option<Instant>,
     looked: Instant,
     planned: Instant,
-    /// When the robot last began to turn on the spot to be found.
+    /// When the robot last began to turn on the spot to be found, or to find a way.
     lost: Option<Instant>,
     /// The current hindrance, and when it was last declared an obstacle.
     hindered: Option<Hindered>,
@@ -220,15 +220,11 @@ impl<'b> Driver<'b> {
             }
             // What is to be seen around it may show the server where it is.
             (Some(Reason::PoseLost), Some(_)) if self.task != Task::Stand => {
-                let command = match self.turns(now) {
-                    true => self.follower.spin(true, elapsed),
-                    false => self.follower.stand(),
-                };
-                (command, Reason::PoseLost)
+                (self.turn(now, elapsed), Reason::PoseLost)
             }
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
         };
-        if reason != Reason::PoseLost {
+        if !matches!(reason, Reason::PoseLost | Reason::NoWay(_)) {
             self.lost = None;
         }
         // While faulty wheels are tried again, their fault is still reported: it is cleared only
@@ -238,13 +234,16 @@ impl<'b> Driver<'b> {
         command
     }
 
-    /// Whether a robot that does not know its pose turns on the spot now: for a while, and after each rest again.
-    fn turns(&mut self, now: Instant) -> bool {
+    /// Turns a robot that does not know its pose, or a way, on the spot: for a while, and after each rest again.
+    fn turn(&mut self, now: Instant, elapsed: f32) -> DriveCommand {
         let since = self.lost.get_or_insert(now);
         if now.since(*since) >= LOST_REST {
             *since = now;
         }
-        now.since(*since) < LOST_TURN
+        match now.since(*since) < LOST_TURN {
+            true => self.follower.spin(true, elapsed),
+            false => self.follower.stand(),
+        }
     }
 
     /// Starts the search for a path.
@@ -268,7 +267,12 @@ impl<'b> Driver<'b> {
                 if step.now.since(since) >= NO_WAY_RETRY {
                     self.set_out();
                 }
-                (self.follower.stand(), Reason::NoWay(why))
+                // What was in its way may be gone, or the robot may be somewhere else.
+                let command = match why {
+                    PlanError::GoalBlocked => self.follower.stand(),
+                    _ => self.turn(step.now, step.elapsed),
+                };
+                (command, Reason::NoWay(why))
             }
             Phase::Searching => {
                 self.search(step, ground);

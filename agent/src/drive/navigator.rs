@@ -4,7 +4,7 @@
 use heapless::Vec;
 use ubimap_protocol::{
     message::{EventCode, MAX_OBSTACLES, MAX_PEERS, Obstacle, ObstacleClass, Peer, Waypoint},
-    tile::{TILE_SIDE, TileId},
+    tile::{Row, TILE_SIDE, TileId},
     time::{Duration, Instant},
     units::{Millimetres, Pose},
 };
@@ -25,6 +25,8 @@ use crate::timing::OBSTACLE_LOST;
 
 /// Distance at which an intermediate point counts as passed, in millimetres.
 const PASSED: i32 = 150;
+/// How long a robot that found no way ignores what only it has seen stand.
+const DOUBTS_OWN: Duration = Duration::from_secs(10);
 
 type Movers = Vec<Mover, { MAX_PEERS + MAX_OBSTACLES }>;
 
@@ -59,6 +61,8 @@ pub struct Navigator<'b> {
     stops: Option<Stops>,
     /// The task until the first session; `None` to stand.
     alone: Option<Task>,
+    /// When it last had no way.
+    shut_in: Option<Instant>,
 }
 
 impl<'b> Navigator<'b> {
@@ -75,6 +79,7 @@ impl<'b> Navigator<'b> {
             point: 0,
             stops: config.stop_and_wait.then(Stops::default),
             alone: config.alone.map(|home| Task::Explore(Some(home))),
+            shut_in: None,
             driver: Driver::new(config, resolution, workspace),
         }
     }
@@ -164,7 +169,13 @@ impl Drives for Navigator<'_> {
         let health = self.health(surroundings);
         let cells_refused = surroundings.cells_refused;
         let inputs = Inputs { health, near: &self.near, movers: &movers, cells_refused };
-        self.command = self.driver.step(&inputs, |column, row| ground(surroundings, column, row));
+        if matches!(self.driver.reason(), Reason::NoWay(_)) {
+            self.shut_in = Some(now);
+        }
+        // What it drew before its pose was corrected may stand where nothing is.
+        let trusts_own = self.shut_in.is_none_or(|last| now.since(last) >= DOUBTS_OWN);
+        self.command =
+            self.driver.step(&inputs, |column, row| ground(surroundings, trusts_own, column, row));
         let code = self.driver.poll_event().and_then(Reason::event_code);
         // Only the last point counts as the end of the path.
         code.filter(|&code| is_last || code != EventCode::PathDone)
@@ -237,21 +248,70 @@ fn squared_distance(from: Pose, x: Millimetres, y: Millimetres) -> i64 {
     way(x, from.x).pow(2) + way(y, from.y).pow(2)
 }
 
-/// The states of the 32 cells in a column of tiles and a row of cells: the server's, or the robot's
-/// own where the server's is unknown.
-fn ground(surroundings: &Surroundings<'_, '_>, column: i32, row: i32) -> GroundRow {
+/// The states of the 32 cells in a column of tiles and a row of cells. `trusts_own` says whether what only the robot has
+/// seen stand is in its way.
+fn ground(
+    surroundings: &Surroundings<'_, '_>,
+    trusts_own: bool,
+    column: i32,
+    row: i32,
+) -> GroundRow {
     let side = TILE_SIDE as i32;
     let Some(id) = TileId::of_cell(column.saturating_mul(side), row) else {
         return GroundRow::default();
     };
     let y = row.rem_euclid(side) as usize;
     let around = surroundings.fused.around(id, surroundings.now);
-    let mut cells = around.merged.map(|tile| tile.row(y)).unwrap_or_default();
-    if let Some(own) = surroundings.own.find(id) {
-        let (own, unknown) = (own.row(y), !(cells.low | cells.high));
-        cells.low |= own.low & unknown;
-        cells.high |= own.high & unknown;
-    }
+    let merged = around.merged.map(|tile| tile.row(y)).unwrap_or_default();
     let covered = around.covered.and_then(|rows| rows.get(y)).copied().unwrap_or_default();
+    let cells = match surroundings.own.find(id) {
+        Some(own) => passable(merged, own.row(y), if trusts_own { !covered } else { 0 }),
+        None => merged,
+    };
     GroundRow { cells, covered }
+}
+
+/// The server's cells; the robot's own where the server's are unknown and, in the `blind` cells, where it has itself
+/// seen something stand: if its pose is off, the server's map is right, and what is in the robot's way is where the
+/// robot has drawn it.
+fn passable(merged: Row, own: Row, blind: u32) -> Row {
+    let unknown = !(merged.low | merged.high);
+    let solid = own.high & !own.low & blind;
+    Row {
+        low: (merged.low | own.low & unknown) & !solid,
+        high: merged.high | own.high & unknown | solid,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ubimap_protocol::tile::{Cell, Tile};
+
+    use super::*;
+
+    #[test]
+    fn what_the_robot_saw_stand_is_in_its_way_where_no_camera_looks() {
+        use Cell::{Free, Movable, Occupied, Unknown};
+        let row = |cell| {
+            let mut tile = Tile::UNKNOWN;
+            tile.set(5, 0, cell);
+            tile.row(0)
+        };
+        for (merged, own) in [Unknown, Free, Occupied, Movable]
+            .into_iter()
+            .flat_map(|merged| [Unknown, Free, Occupied, Movable].map(|own| (merged, own)))
+        {
+            for is_blind in [false, true] {
+                let mut tile = Tile::UNKNOWN;
+                tile.set_row(0, passable(row(merged), row(own), u32::from(is_blind) << 5));
+                let expected = match (merged, own) {
+                    (_, Occupied) if is_blind => Occupied,
+                    (Unknown, own) => own,
+                    (merged, _) => merged,
+                };
+                assert_eq!(tile.cell(5, 0), expected, "{merged:?}, {own:?}, {is_blind}");
+                assert_eq!(tile.cell(6, 0), Unknown);
+            }
+        }
+    }
 }

@@ -102,6 +102,8 @@ fn it_reaches_goals_beyond_the_window_and_reports_unreachable_ones() {
     it.go(3.0, 1.2);
     it.until(Reason::NoWay(PlanError::Unreachable), 10.0);
     assert_eq!(it.told, [Reason::Driving, Reason::NoWay(PlanError::Unreachable)]);
+    assert_eq!(it.command.speed, 0);
+    assert!(it.command.turn != 0, "it looks around: the door may have opened");
     it.run(10.0);
     assert_eq!(it.told.len(), 2, "reported once: {:?}", it.told);
     // The door opens.
