@@ -76,6 +76,8 @@ pub(crate) const REPLAN_INTERVAL: Duration = Duration::from_secs(4);
 pub(crate) const HINDERED_WAIT: Duration = Duration::from_secs(3);
 /// How long plans avoid an obstacle that did not go away.
 pub(crate) const AVOIDED_FOR: Duration = Duration::from_secs(10);
+/// How long a robot that found no way ignores what only it has seen stand.
+pub(crate) const DOUBTS_OWN: Duration = Duration::from_secs(10);
 /// Interval of replanning while there is no path.
 pub(crate) const NO_WAY_RETRY: Duration = Duration::from_secs(2);
 /// How long a robot that does not know its pose turns on the spot, each time after [`LOST_REST`]: several turns, from

@@ -21,12 +21,10 @@ use super::{
     search::Workspace,
     stops::Stops,
 };
-use crate::timing::OBSTACLE_LOST;
+use crate::timing::{DOUBTS_OWN, OBSTACLE_LOST};
 
 /// Distance at which an intermediate point counts as passed, in millimetres.
 const PASSED: i32 = 150;
-/// How long a robot that found no way ignores what only it has seen stand.
-const DOUBTS_OWN: Duration = Duration::from_secs(10);
 
 type Movers = Vec<Mover, { MAX_PEERS + MAX_OBSTACLES }>;
 
