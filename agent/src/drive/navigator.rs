@@ -269,12 +269,12 @@ fn ground(
     GroundRow { cells, covered }
 }
 
-/// The server's cells; the robot's own where the server's are unknown and, in the `blind` cells, where it has itself
-/// seen something stand: if its pose is off, the server's map is right, and what is in the robot's way is where the
-/// robot has drawn it.
+/// The server's cells; the robot's own, which are never movable, where the server's are unknown and, in the `blind`
+/// cells, where it has itself seen something stand: if its pose is off, the server's map is right, and what is in the
+/// robot's way is where the robot has drawn it. What the server has as movable, such as a closed door, stays so.
 fn passable(merged: Row, own: Row, blind: u32) -> Row {
-    let unknown = !(merged.low | merged.high);
-    let solid = own.high & !own.low & blind;
+    let (unknown, movable) = (!(merged.low | merged.high), merged.low & merged.high);
+    let solid = own.high & blind & !movable;
     Row {
         low: (merged.low | own.low & unknown) & !solid,
         high: merged.high | own.high & unknown | solid,
@@ -297,14 +297,14 @@ mod tests {
         };
         for (merged, own) in [Unknown, Free, Occupied, Movable]
             .into_iter()
-            .flat_map(|merged| [Unknown, Free, Occupied, Movable].map(|own| (merged, own)))
+            .flat_map(|merged| [Unknown, Free, Occupied].map(|own| (merged, own)))
         {
             for is_blind in [false, true] {
                 let mut tile = Tile::UNKNOWN;
                 tile.set_row(0, passable(row(merged), row(own), u32::from(is_blind) << 5));
                 let expected = match (merged, own) {
-                    (_, Occupied) if is_blind => Occupied,
                     (Unknown, own) => own,
+                    (Free, Occupied) if is_blind => Occupied,
                     (merged, _) => merged,
                 };
                 assert_eq!(tile.cell(5, 0), expected, "{merged:?}, {own:?}, {is_blind}");
