@@ -80,9 +80,9 @@ pub(crate) const AVOIDED_FOR: Duration = Duration::from_secs(10);
 pub(crate) const DOUBTS_OWN: Duration = Duration::from_secs(10);
 /// Interval of replanning while there is no path.
 pub(crate) const NO_WAY_RETRY: Duration = Duration::from_secs(2);
-/// How long a robot that does not know its pose turns on the spot, each time after [`LOST_REST`]: several turns, from
-/// which the server finds it, or will not. Turning on would only wear its heading away.
-pub(crate) const LOST_TURN: Duration = Duration::from_secs(60);
+/// How long a robot that does not know its pose or a way turns on the spot, each time after [`LOST_REST`]: a turn and a
+/// half at half a radian per second. It sees nothing new then, and turning on would wear its heading away.
+pub(crate) const LOST_TURN: Duration = Duration::from_secs(20);
 /// Interval of these turns: what is to be seen there, or on the server's map, may have changed.
 pub(crate) const LOST_REST: Duration = Duration::from_secs(180);
 /// How long a robot stands before it tries faulty wheels again.

@@ -117,7 +117,7 @@ pub struct Driver<'b> {
     looked: Instant,
     planned: Instant,
     /// When the robot last began to turn on the spot to be found, or to find a way.
-    lost: Option<Instant>,
+    turning: Option<Instant>,
     /// The current hindrance, and when it was last declared an obstacle.
     hindered: Option<Hindered>,
     avoided: Option<Instant>,
@@ -145,7 +145,7 @@ impl<'b> Driver<'b> {
             last: None,
             looked: Instant(0),
             planned: Instant(0),
-            lost: None,
+            turning: None,
             hindered: None,
             avoided: None,
             command: DriveCommand::STAND,
@@ -225,7 +225,7 @@ impl<'b> Driver<'b> {
             (amiss, _) => (self.follower.stand(), amiss.unwrap_or(Reason::PoseLost)),
         };
         if !matches!(reason, Reason::PoseLost | Reason::NoWay(_)) {
-            self.lost = None;
+            self.turning = None;
         }
         // While faulty wheels are tried again, their fault is still reported: it is cleared only
         // after the robot has driven some distance, which shows that the wheels work.
@@ -236,12 +236,12 @@ impl<'b> Driver<'b> {
 
     /// Turns a robot that does not know its pose, or a way, on the spot: for a while, and after each rest again.
     fn turn(&mut self, now: Instant, elapsed: f32) -> DriveCommand {
-        let since = self.lost.get_or_insert(now);
+        let since = self.turning.get_or_insert(now);
         if now.since(*since) >= LOST_REST {
             *since = now;
         }
         match now.since(*since) < LOST_TURN {
-            true => self.follower.spin(true, elapsed),
+            true => self.follower.look_around(elapsed),
             false => self.follower.stand(),
         }
     }

@@ -52,8 +52,8 @@ pub struct Motion {
     pub walking: f32,
     /// Distance to keep from people.
     pub person_margin: f32,
-    /// Standard deviation of the position at which the robot stops.
-    pub most_unsure: f32,
+    /// Standard deviation of the position from which the robot drives slowly.
+    pub unsure: f32,
 }
 
 impl Default for Motion {
@@ -70,7 +70,7 @@ impl Default for Motion {
             reaction: 0.15,
             walking: 1_200.0,
             person_margin: 250.0,
-            most_unsure: 150.0,
+            unsure: 150.0,
         }
     }
 }
@@ -142,6 +142,11 @@ const FORESIGHT: f32 = 2.0;
 /// Angular acceleration divided by the maximum turn rate, in 1/s: the maximum is reached after 0.5
 /// s.
 const TURN_GAIN: f32 = 2.0;
+/// Turn rate in rad/s of a robot that does not know where it is, or a way: from one distance vector to the next, a second
+/// later, it still sees some of the same walls.
+const LOOK_RATE: f32 = 0.5;
+/// Speed of a robot that is unsure of its position, as a share of the top speed.
+const UNSURE_SPEED: f32 = 0.4;
 /// Below this speed the robot counts as standing, in mm/s.
 const STANDS: f32 = 20.0;
 /// Minimum speed beside obstacles in mm/s. The speed limit there is the lateral clearance divided
@@ -234,7 +239,14 @@ impl Follower {
     /// Turns on the spot, to the left or to the right.
     pub fn spin(&mut self, left: bool, elapsed: f32) -> DriveCommand {
         self.speed = 0.0;
-        self.turn_by(if left { 1.0 } else { -1.0 }, 0.0, elapsed)
+        let most = self.motion.top_turn;
+        self.turn_at(if left { most } else { -most }, elapsed)
+    }
+
+    /// Turns on the spot so slowly that the server can measure the turn.
+    pub fn look_around(&mut self, elapsed: f32) -> DriveCommand {
+        self.speed = 0.0;
+        self.turn_at(self.motion.top_turn.min(LOOK_RATE), elapsed)
     }
 
     /// Turns on the spot towards a point in `base_link`.
@@ -244,7 +256,12 @@ impl Follower {
         let off = if forward > 0.0 { (side / forward).abs().min(1.0) } else { 1.0 };
         let gain = TURN_GAIN * self.motion.top_turn;
         let wanted = root(2.0 * gain * off).min(self.motion.top_turn).max(0.3).copysign(side);
-        let most = gain * elapsed;
+        self.turn_at(wanted, elapsed)
+    }
+
+    /// Goes towards a turn rate in rad/s.
+    fn turn_at(&mut self, wanted: f32, elapsed: f32) -> DriveCommand {
+        let most = TURN_GAIN * self.motion.top_turn * elapsed;
         self.turn += (wanted - self.turn).max(-most).min(most);
         self.command()
     }
@@ -319,11 +336,11 @@ impl Follower {
         let bend = curvature.abs().max(1.0e-6);
         let in_curve = (motion.top_turn / bend).min(root(motion.side_acceleration / bend));
         let to_end = root(2.0 * motion.acceleration * left);
-        // Full speed up to half the maximum standard deviation, then linearly down to zero.
-        let sure = (2.0 - 2.0 * sight.unsure / motion.most_unsure.max(1.0)).min(1.0);
+        // Full speed up to half the standard deviation, then linearly down.
+        let sure = (2.0 - 2.0 * sight.unsure / motion.unsure.max(1.0)).min(1.0).max(UNSURE_SPEED);
         let room = sight.near.nearest().unwrap_or(f32::MAX) - f32::from(motion.radius);
         let beside = (room / ROOM_TIME).max(CREEP);
-        let sure = (motion.top_speed * sure).max(0.0);
+        let sure = motion.top_speed * sure;
         motion.top_speed.min(in_curve).min(to_end).min(beside).min(sure)
     }
 

@@ -26,12 +26,12 @@ pub struct SafetyLimits {
 }
 
 impl Default for SafetyLimits {
-    /// 2 s without a message, a scan age of 0.5 s, a standard deviation of 15 cm, and no fence.
+    /// 2 s without a message, a scan age of 0.5 s, a standard deviation of 50 cm, and no fence.
     fn default() -> Self {
         Self {
             silence: Some(SERVER_SILENT),
             scan_age: SCAN_STALE,
-            most_unsure: 150.0,
+            most_unsure: 500.0,
             fence: None,
             retry: WHEELS_RETRY,
         }
@@ -266,7 +266,7 @@ mod tests {
             assert_eq!(check(Health { scan: scan.map(at), ..well }), reason);
         }
         for (unsure, reason) in
-            [(150.0, None), (151.0, Some(Reason::PoseLost)), (f32::NAN, Some(Reason::PoseLost))]
+            [(500.0, None), (501.0, Some(Reason::PoseLost)), (f32::NAN, Some(Reason::PoseLost))]
         {
             assert_eq!(check(Health { pose: Some((Pose::default(), unsure)), ..well }), reason);
         }

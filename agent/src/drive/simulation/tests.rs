@@ -231,16 +231,16 @@ fn it_turns_on_the_spot_while_it_does_not_know_where_it_is() {
     let mut it = Simulation::new(HALL, 0.6, 1.2).with_map();
     it.go(3.4, 1.2);
     it.run(2.0);
-    it.unsure = 200.0;
+    it.unsure = 600.0;
     it.until(Reason::PoseLost, 0.1);
     let at = it.at;
     it.run(2.0);
     assert!((it.at.0, it.at.1) == (at.0, at.1) && it.at.2 != at.2);
     assert!(it.command.turn > 200, "{:?}", it.command);
     // It gives up for a while.
-    it.run(60.0);
+    it.run(20.0);
     assert_eq!((it.command, it.driver.reason()), (DriveCommand::STAND, Reason::PoseLost));
-    it.run(117.0);
+    it.run(157.0);
     assert_eq!(it.command, DriveCommand::STAND);
     it.run(2.0);
     assert!(it.command.turn > 200, "{:?}", it.command);
@@ -252,7 +252,7 @@ fn it_turns_on_the_spot_while_it_does_not_know_where_it_is() {
     it.until(Reason::PoseLost, 0.2);
     it.unsure = 20.0;
     it.until(Reason::Arrived, 30.0);
-    it.unsure = 200.0;
+    it.unsure = 600.0;
     it.driver.set_task(Task::Stand);
     it.until(Reason::PoseLost, 0.2);
     assert_eq!(it.command, DriveCommand::STAND);
