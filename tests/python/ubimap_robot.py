@@ -407,12 +407,13 @@ class Robot:
         time, pose = self.server_time(now), self.pose_now()
         if time is None or pose is None:
             return
-        for columns in (16, 8, 4):
+        odometry = {"odometry": self.room.odometry()}
+        for columns, also in [(16, odometry), (8, odometry), (4, odometry), (4, {})]:
             step = 16_384 // columns
             distances = [60] * columns  # 1.2 m all over the quarter ahead
             first = (-8_192 + step // 2) % 65_536
             yield "DistanceVector", {
-                "time": time, "pose": pose, "first": first, "step": step, "distances": distances,
+                "time": time, "pose": pose, "first": first, "step": step, "distances": distances, **also,
             }  # fmt: skip
 
     def digests(self):

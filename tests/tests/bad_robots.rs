@@ -124,7 +124,7 @@ fn in_blind_ground_a_lie_lasts_one_map_step_against_two_witnesses() {
 /// The liar's distance vector, with a reading of `metres` in every direction.
 fn sees(time: Instant, pose: Pose, metres: f64) -> DistanceVector {
     let distances = (0..64).map(|_| (metres * 50.0) as u8).collect();
-    DistanceVector { time, pose, first: Angle(0), step: 1_024, distances }
+    DistanceVector { time, pose, first: Angle(0), step: 1_024, distances, odometry: None }
 }
 
 #[test]

@@ -351,6 +351,12 @@ impl Filter {
         self.replay(moment).0.told()
     }
 
+    /// The odometry at a time within the history; `None` if it is unknown there.
+    pub(super) fn odometry_at(&self, moment: Instant) -> Option<Pose> {
+        let Belief { odometry, attached, .. } = self.replay(moment).0;
+        (attached && moment >= self.base.moment).then_some(odometry)
+    }
+
     /// The estimate for a time shortly after the newest odometry, extrapolated with constant
     /// motion. `None` for later times, or if the motion up to there is unknown.
     pub(super) fn soon_after_odometry(&self, moment: Instant) -> Option<Told> {

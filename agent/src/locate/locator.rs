@@ -138,6 +138,12 @@ impl Locator {
         self.filter.newest_odometry().map(|(_, pose)| pose)
     }
 
+    /// The odometry at the time of a scan, corrected for the learnt errors: `base_link` in `odom`. `None` without
+    /// readings about that time.
+    pub fn odometry_at(&self, moment: Instant) -> Option<Pose> {
+        self.filter.odometry_at(moment)
+    }
+
     /// The newest odometry if the robot has hardly moved since the reading before, so that it is
     /// likely still there: `base_link` in `odom`.
     pub(crate) fn standing_odometry(&self) -> Option<Pose> {
@@ -310,6 +316,29 @@ mod tests {
         // The next fix corrects it.
         fix_at(&mut locator, 20_000, pose(1000, 11_400, 90.0));
         assert!(matches!(at(&locator, 20_000, 20_000), Located::At(..)));
+    }
+
+    #[test]
+    fn the_odometry_of_a_time_is_known_between_readings_and_contains_no_fix() {
+        let mut locator = locator(PoseSource::Fixes);
+        fix_at(&mut locator, 900, pose(0, 0, 0.0));
+        assert_eq!(locator.odometry_at(moment(900)), None, "no odometry yet");
+        for millis in (1_000..3_001).step_by(50) {
+            locator.odometry(moment(millis), pose((millis / 2) as i32, 0, 0.0)).unwrap();
+            if millis == 2_500 {
+                fix_at(&mut locator, 2_400, pose(5_000, 2_000, 90.0));
+            }
+        }
+        let at = |millis| locator.odometry_at(moment(millis));
+        for millis in [2_050, 2_080, 2_400, 2_500, 2_990, 3_000] {
+            let found = at(millis).unwrap_or_else(|| panic!("{millis}"));
+            assert!((found.x.0 - (millis / 2) as i32).abs() <= 1, "{millis}: {found:?}");
+            assert_eq!((found.y, found.heading), (Millimetres(0), Angle(0)));
+        }
+        // Too old, and yet to come.
+        for unknown in [0, 900, 3_050, 9_000] {
+            assert_eq!(at(unknown), None, "{unknown}");
+        }
     }
 
     /// Remembered readings are 100 ms apart, but for a scan the readings just before and after it

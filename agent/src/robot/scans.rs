@@ -17,6 +17,9 @@ use crate::{
     share::DistanceVectors,
 };
 
+/// Minimum number of columns of a distance vector for which a small frame must have room beside the odometry.
+const COLUMNS: usize = 16;
+
 /// A scan whose pose is known.
 struct PlacedScan {
     /// When it was taken, by the robot's clock.
@@ -165,9 +168,13 @@ impl Mapper<'_> {
         self.selection.mapped(scan.pose, odometry, readings, &selected);
         self.clean(readings, vector_time.is_some());
         if let Some(time) = vector_time {
-            let most = link.room().saturating_sub(DistanceVector::OVERHEAD);
+            let room = link.room().saturating_sub(DistanceVector::OVERHEAD);
+            let rest = room.checked_sub(DistanceVector::ODOMETRY).filter(|rest| *rest >= COLUMNS);
+            let odometry = rest.and_then(|_| self.locator.odometry_at(scan.taken));
+            let most = rest.unwrap_or(room);
             let columns = || Columns::of_scan(self.beams, readings, self.settings.mounting, most);
-            tell(&mut self.outbox.vectors, scan.taken, time, scan.pose, columns);
+            let poses = (scan.pose, odometry);
+            tell(&mut self.outbox.vectors, scan.taken, time, poses, columns);
         }
         match selected {
             Selected::Moved(part) | Selected::Changed(part) => {
@@ -233,7 +240,7 @@ fn tell(
     vectors: &mut DistanceVectors,
     taken: Instant,
     time: Instant,
-    pose: Pose,
+    (pose, odometry): (Pose, Option<Pose>),
     columns: impl FnOnce() -> Option<Columns>,
 ) {
     let vector = columns().map(|Columns { first, step, distances }| DistanceVector {
@@ -242,6 +249,7 @@ fn tell(
         first,
         step,
         distances,
+        odometry,
     });
     vectors.take(taken, vector);
 }

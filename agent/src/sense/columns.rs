@@ -35,7 +35,8 @@ impl Columns {
     /// The nearest readings of a scan relative to `base_link`, in columns that divide the field of
     /// view evenly: at most `most`, and at most one per beam. The sensor is mounted at `mounting`;
     /// its heading is already in the beams, which must be ordered by bearing, in either direction.
-    /// `None` if there is no reading, or if `most` is 0. About 320 instructions per beam.
+    /// Without a reading there are no columns. `None` if the sensor has no beams, or if `most` is 0. About 320
+    /// instructions per beam.
     pub fn of_scan(beams: &[Beam], readings: &[u16], mounting: Pose, most: usize) -> Option<Self> {
         let usable = beams.iter().filter(|beam| **beam != Beam::NONE);
         let mut bearings = usable.map(|beam| bearing(beam.left.into(), beam.forward.into()));
@@ -75,8 +76,11 @@ impl Columns {
                 any = true;
             }
         }
+        if !any {
+            distances.clear();
+        }
         let first = Angle(right.wrapping_add((step / 2) as u16));
-        any.then_some(Self { first, step: step as i16, distances })
+        Some(Self { first, step: step as i16, distances })
     }
 }
 
@@ -156,7 +160,7 @@ mod tests {
         assert!((columns.first.radians() - 0.5).abs() < 0.001);
         assert_eq!(&columns.distances[..], [255]);
         assert_eq!(&found(1, 64).unwrap().distances[..], [1]);
-        assert_eq!(found(0, 64), None);
+        assert_eq!(found(0, 64).unwrap().distances.len(), 0);
         assert_eq!(found(6_000, 0), None);
         assert_eq!(Columns::of_scan(&[], &[], Pose::default(), 64), None);
     }
@@ -174,7 +178,8 @@ mod tests {
                 .collect();
             let mounting = Pose { x: Millimetres(x), y: Millimetres(y), heading: Angle(0) };
             if let Some(columns) = Columns::of_scan(&beams, &readings, mounting, most) {
-                prop_assert!((1..=most.min(64)).contains(&columns.distances.len()));
+                prop_assert!(columns.distances.len() <= most.min(64));
+                prop_assert!(columns.distances.is_empty() || columns.distances.iter().any(|it| *it > 0));
                 prop_assert!(columns.step > 0);
             }
         }

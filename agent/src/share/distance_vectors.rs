@@ -75,14 +75,17 @@ mod tests {
 
     #[test]
     fn the_longest_vector_fits_its_room_and_waits_for_it() {
-        for columns in [1, 20, 64] {
+        for (columns, is_driven) in [1, 20, 64].into_iter().flat_map(|it| [(it, false), (it, true)])
+        {
             let far = Millimetres(i32::MIN);
+            let far = Pose { x: far, y: far, heading: Angle(u16::MAX) };
             let vector = DistanceVector {
                 time: Instant(u64::MAX),
-                pose: Pose { x: far, y: far, heading: Angle(u16::MAX) },
+                pose: far,
                 first: Angle(u16::MAX),
                 step: i16::MIN,
                 distances: [255u8; 64].into_iter().take(columns).collect(),
+                odometry: is_driven.then_some(far),
             };
             let mut vectors = DistanceVectors::new(Duration::from_secs(5));
             vectors.take(Instant(7), Some(vector));
@@ -92,7 +95,8 @@ mod tests {
                 vectors.push(&mut writer);
                 writer.len()
             };
-            let room = columns + DistanceVector::OVERHEAD;
+            let odometry = if is_driven { DistanceVector::ODOMETRY } else { 0 };
+            let room = columns + DistanceVector::OVERHEAD + odometry;
             assert_eq!(written(room - 2), 0);
             assert!(written(room) >= room - 1);
             assert_eq!(written(room), 0, "sent twice");

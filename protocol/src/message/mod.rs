@@ -32,6 +32,7 @@
 //! let _ = writer.push(&Stop { number: 7, stop: true });
 //! ```
 
+mod added;
 mod direction;
 mod reader;
 mod shared;

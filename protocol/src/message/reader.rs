@@ -129,10 +129,10 @@ impl<'de> de::Deserializer<'de> for &mut Reader<'de> {
         visitor.visit_enum(self)
     }
 
-    /// Reads a number that has been added to the end of a message: 0 if the body ends before it.
+    /// Reads a field that has been added to the end of a message: none if the body ends before it.
     /// (Postcard is not self-describing, so this method has no other use.)
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
-        visitor.visit_u32(if self.0.is_empty() { 0 } else { self.one()? })
+        if self.0.is_empty() { visitor.visit_none() } else { visitor.visit_some(self) }
     }
 
     serde::forward_to_deserialize_any! { i128 u128 char map identifier ignored_any }

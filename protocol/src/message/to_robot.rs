@@ -3,12 +3,10 @@
 use core::fmt;
 
 use heapless::Vec;
-use serde::{
-    Deserialize, Deserializer, Serialize,
-    de::{Error, Visitor},
-};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{
+    added,
     direction::{Body, ToRobot},
     shared::{Digests, ParameterValue, Request, TileUpdateHead},
     table::messages,
@@ -314,26 +312,7 @@ pub struct Postures(pub u32);
 
 impl<'de> Deserialize<'de> for Postures {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Number;
-        impl Visitor<'_> for Number {
-            type Value = Postures;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("two bits for each person")
-            }
-
-            fn visit_u32<E>(self, bits: u32) -> Result<Postures, E> {
-                Ok(Postures(bits))
-            }
-
-            // From JSON.
-            fn visit_u64<E: Error>(self, bits: u64) -> Result<Postures, E> {
-                let bits = u32::try_from(bits).map_err(|_| E::custom("more than 32 bits"))?;
-                Ok(Postures(bits))
-            }
-        }
-        // The reader takes this for an added field, which may be absent.
-        deserializer.deserialize_any(Number)
+        added::deserialize(deserializer).map(|bits| Self(bits.unwrap_or_default()))
     }
 }
 

@@ -4,6 +4,7 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 use super::{
+    added,
     shared::{Digests, MAX_PARAMETERS, ParameterValue, Request, TileUpdateHead},
     table::messages,
 };
@@ -60,7 +61,7 @@ pub struct State {
     pub time: Option<Instant>,
     /// Estimated pose (`base_link` in `map`); `None` if unknown.
     pub pose: Option<Pose>,
-    /// Odometry pose (`base_link` in `odom`) at the same time; `None` if the robot has no odometry.
+    /// The newest odometry pose (`base_link` in `odom`); `None` if the robot has no odometry.
     pub odometry: Option<Pose>,
     /// Cells not mapped since start because the tile pool was full.
     pub cells_refused: u32,
@@ -114,6 +115,10 @@ pub struct DistanceVector {
     /// For each column the free distance from the origin of `base_link`, in units of
     /// [`DistanceVector::UNIT`]; 0 if unknown, [`DistanceVector::BEYOND`] for 5.1 m and more.
     pub distances: Vec<u8, MAX_COLUMNS>,
+    /// Odometry pose (`base_link` in `odom`) at the same time: unlike `pose` it contains no fixes, so two of them
+    /// give a motion. `None` from robots without odometry, of earlier versions, or with small frames.
+    #[serde(default, with = "added", skip_serializing_if = "Option::is_none")]
+    pub odometry: Option<Pose>,
 }
 
 impl DistanceVector {
@@ -121,8 +126,10 @@ impl DistanceVector {
     pub const UNIT: Millimetres = Millimetres(20);
     /// The code of all distances from 5.1 m on.
     pub const BEYOND: u8 = 255;
-    /// Maximum size of the message without its columns, in bytes, kind and length included.
+    /// Maximum size of the message without its columns and its odometry, in bytes, kind and length included.
     pub const OVERHEAD: usize = 33;
+    /// Maximum size of the odometry.
+    pub const ODOMETRY: usize = 13;
 }
 
 /// The severity of an event.

@@ -193,6 +193,7 @@ mod tests {
             first: Angle(0),
             step: 100,
             distances: [50_u8, 0].into_iter().collect(),
+            odometry: None,
         };
         assert_eq!(layer.look(&vector, SIDE).len(), 2, "two tiles meet at the axis");
         let looked = |layer: &PriorLayer| [2, 19, 20, 24, 30].map(|y| at(layer, 0, y).looked);

@@ -349,27 +349,33 @@ fn to_server(cases: &mut Cases) {
             first: Angle(0),
             step: 1,
             distances: [].into_iter().collect(),
+            odometry: None,
         },
     );
+    let usual = DistanceVector {
+        time: Instant(61_500_000),
+        pose: pose(3000, -250, 49_152),
+        first: Angle(5461),
+        step: -1365,
+        distances: [0, 1, 60, 254, 255].into_iter().collect(),
+        odometry: Some(pose(-12_400, 70, 300)),
+    };
+    let without = DistanceVector { odometry: None, ..usual.clone() };
+    cases.add::<ToServer>("distance vector usual", &without);
+    cases.add::<ToServer>("distance vector with odometry", &usual);
+    cases.add_with::<ToServer>("distance vector with a field that was added later", &usual, &[9]);
+    let extreme = DistanceVector {
+        time: END,
+        pose: FAR,
+        first: Angle(u16::MAX),
+        step: i16::MIN,
+        distances: [255; 64].into_iter().collect(),
+        odometry: None,
+    };
+    cases.add::<ToServer>("distance vector extreme", &extreme);
     cases.add::<ToServer>(
-        "distance vector usual",
-        &DistanceVector {
-            time: Instant(61_500_000),
-            pose: pose(3000, -250, 49_152),
-            first: Angle(5461),
-            step: -1365,
-            distances: [0, 1, 60, 254, 255].into_iter().collect(),
-        },
-    );
-    cases.add::<ToServer>(
-        "distance vector extreme",
-        &DistanceVector {
-            time: END,
-            pose: FAR,
-            first: Angle(u16::MAX),
-            step: i16::MIN,
-            distances: [255; 64].into_iter().collect(),
-        },
+        "distance vector extreme with odometry",
+        &DistanceVector { odometry: Some(FAR), ..extreme },
     );
     cases.add::<ToServer>(
         "event small",
@@ -1162,7 +1168,7 @@ fn refused_payloads() -> Value {
 }
 
 fn refused_messages() -> Value {
-    let cases: [(&str, Direction, u8, &[u8]); 32] = [
+    let cases: [(&str, Direction, u8, &[u8]); 33] = [
         ("hello cut short", TO_SERVER, 1, &[1, 1, 1, 99, 0xFA, 1, 100]),
         (
             "hello, a nonce of more than 32 bits",
@@ -1229,6 +1235,7 @@ fn refused_messages() -> Value {
         ("obstacles, a class that there is not", TO_ROBOT, 9, &[0, 1, 1, 3, 0, 0, 0, 0, 0]),
         ("obstacles, postures cut short", TO_ROBOT, 9, &[0, 0, 0x80]),
         ("obstacles, 33 bits of postures", TO_ROBOT, 9, &[0, 0, 0x80, 0x80, 0x80, 0x80, 0x10]),
+        ("distance vector, odometry cut short", TO_SERVER, 7, &[0, 0, 0, 0, 0, 2, 0, 3, 4]),
         ("stop, neither true nor false", TO_ROBOT, 11, &[1, 2]),
         ("parameter, an action that there is not", TO_ROBOT, 12, &[1, 3, 0]),
         ("parameter, a number of 17 bits", TO_ROBOT, 12, &[1, 1, 0x80, 0x80, 0x04]),

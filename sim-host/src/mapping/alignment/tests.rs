@@ -62,6 +62,7 @@ impl WalledRoom {
             first: Angle((-8_192 + step / 2) as u16),
             step: step as i16,
             distances: (0..64).map(column).collect(),
+            odometry: None,
         }
     }
 

@@ -244,6 +244,7 @@ mod tests {
             first: Angle((-31.5f64 * 512.0) as i32 as u16),
             step: 512,
             distances: distances.collect(),
+            odometry: None,
         })
     }
 

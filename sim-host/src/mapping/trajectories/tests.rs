@@ -56,6 +56,7 @@ fn view(walls: &[[f64; 4]], truth: &Motion, reported: &Motion, second: u64) -> V
         first: Angle((-31.5f64 * 256.0) as i32 as u16),
         step: 256,
         distances: distances.collect(),
+        odometry: None,
     })
 }
 

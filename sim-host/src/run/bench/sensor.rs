@@ -120,7 +120,9 @@ fn show(bench: &mut Bench, options: &SensorOptions, mounting_x: f64) -> Result<(
             return Ok(());
         }
         let vector = bench.robot().and_then(|robot| bench.server().distance_vector(robot));
-        let Some(vector) = vector.filter(|vector| newest.as_ref() != Some(vector)).cloned() else {
+        let is_view =
+            |it: &&DistanceVector| !it.distances.is_empty() && newest.as_ref() != Some(*it);
+        let Some(vector) = vector.filter(is_view).cloned() else {
             continue;
         };
         (seen_at, complained) = (now, false);

@@ -102,6 +102,7 @@ mod tests {
             first: Angle::from_degrees(-90.0),
             step: 16_384,
             distances: [50, 0, 255, 100].into_iter().collect(),
+            odometry: None,
         };
         let view = View::of(&vector);
         let degrees: Vec<_> =
