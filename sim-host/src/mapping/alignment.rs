@@ -25,6 +25,7 @@ use ubimap_protocol::{
     units::{Angle, Millimetres, Pose},
 };
 
+use super::submaps::{self, Motion, motion, turned};
 use geometry::{position, rotated};
 use refinement::{CELL_DEVIATION, CELL_DEVIATION_MM, Hold, Refined, refine};
 use search::{candidates, rivals};
@@ -76,6 +77,13 @@ impl Match {
     /// Whether the surfaces determine the heading well enough for a robot to use it: to 2 degrees.
     pub fn is_sure(&self) -> bool {
         self.covariance[(2, 2)] <= HEADING_LIMIT * HEADING_LIMIT
+    }
+
+    /// The match in another frame, in which its own one is at `frame`.
+    pub fn moved(self, frame: &Motion) -> Self {
+        let turn = turned(frame.rotation.angle());
+        let pose = submaps::pose(&(frame * motion(self.pose)));
+        Self { pose, covariance: turn * self.covariance * turn.transpose() }
     }
 
     /// `None` if the surfaces do not constrain the pose at all.

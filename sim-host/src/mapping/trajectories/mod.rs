@@ -307,8 +307,8 @@ impl Trajectories {
         moved
     }
 
-    /// Where a robot made its newest view.
-    fn newest(&self, robot: RobotId) -> Option<Motion> {
+    /// Where a robot made its newest view, as of the last [`Self::solve`].
+    pub fn newest(&self, robot: RobotId) -> Option<Motion> {
         let trajectory = self.robots.get(&robot)?;
         let &last = trajectory.pieces.last()?;
         let since = trajectory.since.map_or_else(Motion::identity, |since| since.by);

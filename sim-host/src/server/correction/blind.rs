@@ -1,8 +1,9 @@
 //! Localises a robot in blind ground (out of the cameras' view) by its distance vectors.
 //!
 //! The robot is followed from view to view by its odometry and by the surfaces that it has seen on its trip: over
-//! a second both are good, so that nothing has to be searched, and few points help. Its [`Drift`] from the map that all
-//! robots draw is corrected by matches with that.
+//! a second both are good, so that nothing has to be searched, and few points help. This gives its way in a frame of its
+//! own, that of the trip, which drifts in the map. The [`Drift`] is corrected by matches with the map that all robots
+//! draw, and by where their trajectories put the robot's views.
 
 use ubimap_protocol::{
     message::DistanceVector,
@@ -13,13 +14,13 @@ use ubimap_protocol::{
 
 use super::{
     booted::Booted,
-    drift::{Corrected, Drift},
+    drift::{Corrected, Drift, FAR},
     odometry::{Reported, TurnScale, Variances},
 };
 use crate::{
     mapping::{
         Match, Prior, Search, Surfaces, Trail,
-        submaps::{self, Motion, View, motion},
+        submaps::{self, Motion, View, is_within, motion},
         trajectories::{Step, Trajectories},
     },
     server::{shared_map::SharedMap, surroundings::Place},
@@ -46,16 +47,21 @@ const BENT: f64 = 0.03;
 const STEPPED: Variances = Variances::of(20.0, 0.01);
 /// Maximum deviation of a followed robot's heading, in radians, to learn from it.
 const SURE: f64 = 0.02;
+/// Part of the way that a robot's pose goes to where the trajectories put it, each second: a wrong match among them, which
+/// is taken back after some seconds, moves it little.
+const SETTLING: f64 = 0.2;
 /// How far from the place where it is believed to be a robot that has booted is sought.
 const SOUGHT: Millimetres = Millimetres(800);
 
 /// The time that a robot spends out of the cameras' view.
 #[derive(Debug)]
 pub(super) struct BlindTrip {
-    /// The surfaces that the robot has seen during the trip.
+    /// The surfaces that the robot has seen during the trip, in the trip's frame.
     trail: Trail,
-    /// Where the robot was in its last view.
+    /// Where the robot was in its last view, in the trip's frame.
     at: Motion,
+    /// The trip's frame in the map.
+    frame: Motion,
     reported: Reported,
     drift: Drift,
     /// Distance driven in millimetres, and angle turned in radians, since the robot's pose was last
@@ -69,16 +75,16 @@ pub(super) struct BlindTrip {
 }
 
 impl BlindTrip {
-    /// Starts the trip of a robot whose reported pose is `last` and that has been out of view for
-    /// `unseen`.
-    pub(super) fn after(unseen: Duration, last: Pose) -> Self {
+    /// Starts the trip of a robot that reports this and has been out of view for `unseen`.
+    pub(super) fn after(unseen: Duration, reported: Reported) -> Self {
         let metres = (unseen.micros() as f64 / 1e6).min(UNHEARD_M);
         let mut drift = Drift::none();
         drift.go(Some(Variances::of_motion(&Motion::translation(metres, 0.0))));
         Self {
             trail: Trail::default(),
-            at: motion(last),
-            reported: Reported::seen_at(last),
+            at: motion(reported.pose),
+            frame: Motion::identity(),
+            reported,
             drift,
             way_mm: 1_000.0 * metres,
             turned: 0.0,
@@ -90,7 +96,7 @@ impl BlindTrip {
     /// Starts the trip of a robot that has booted somewhere about a place.
     pub(super) fn about(place: &Place) -> Self {
         let booted = Some(Booted::new(place.stands()));
-        Self { booted, ..Self::after(Duration::default(), place.pose) }
+        Self { booted, ..Self::after(Duration::default(), Reported::at(place.pose)) }
     }
 
     /// Whether the robot has booted and was not found yet.
@@ -100,16 +106,22 @@ impl BlindTrip {
 
     /// Adds points to the trail. Called while the robot has only just left the view, so that its
     /// pose is still accurate.
-    pub(super) fn remember(&mut self, pose: Pose, points: &[[f64; 2]], resolution: Millimetres) {
+    pub(super) fn remember(
+        &mut self,
+        vector: &DistanceVector,
+        points: &[[f64; 2]],
+        resolution: Millimetres,
+    ) {
         if self.booted.is_none() {
             self.is_new = false;
-            (self.at, self.reported) = (motion(pose), Reported::seen_at(pose));
-            self.trail.add(pose, points, resolution);
+            (self.at, self.reported) = (motion(vector.pose), Reported::by(vector));
+            self.trail.add(vector.pose, points, resolution);
         }
     }
 
     /// Finds the pose from which the robot saw the points of a distance vector, and adds them to
-    /// the trail. `None` if they do not determine it. `scale` is the robot's; it is learnt on the way.
+    /// the trail. `None` if the robot has booted, and they do not tell where. `scale` is the robot's; it is learnt on the
+    /// way.
     pub(super) fn locate(
         &mut self,
         robot: RobotId,
@@ -134,7 +146,7 @@ impl BlindTrip {
         if let Some(booted) = &mut self.booted {
             let surfaces = surfaces(vector.pose, reach + SOUGHT);
             let found = booted.find(&surfaces, points, vector.pose)?;
-            self.begin_at(&found);
+            self.begin_at(&found, vector);
             if let Some(trajectories) = trajectories {
                 trajectories.found(robot, &View::of(vector), self.at);
             }
@@ -142,46 +154,69 @@ impl BlindTrip {
             return Some(found);
         }
 
-        let rolled = self.reported.rolled_to(vector.pose);
+        let reported = Reported::by(vector);
+        let rolled = self.reported.rolled_to(&reported);
         let near = |trail: &Trail, pose| {
             Surfaces::about(pose, reach, resolution, |_| Tile::UNKNOWN, trail)
         };
+        self.settle(trajectories.as_ref().and_then(|it| it.newest(robot)));
         let followed_from = self.at;
         let followed = self.follow(&rolled, points, near, scale);
         let by = followed_from.inv_mul(&self.at);
+        self.trail.add(submaps::pose(&self.at), points, resolution);
         let strayed = Variances::of_motion(&rolled);
         let strayed = strayed.plus(STEPPED);
         let seen =
             followed.map(|it| it.deviations()).map(|[x, y, turn]| [1e-3 * x, 1e-3 * y, turn]);
         let step = Step::new(by, [1e-3 * strayed.place.sqrt(), strayed.turn.sqrt()], seen);
-        let mut pose = submaps::pose(&self.at);
+        let mut pose = submaps::pose(&(self.frame * self.at));
         let search = self.go(&rolled);
         let found = surfaces(pose, reach + search.position).find(points, pose, search);
-        if let Some(corrected) = found.and_then(|found| self.drift.correct(pose, &found)) {
+        let corrected = found.and_then(|found| self.drift.correct(pose, &found));
+        if let Some(corrected) = corrected {
             (self.way_mm, self.turned) = (0.0, 0.0);
             pose = corrected.pose();
-            if let Corrected::Moved(_) = corrected {
-                // What the robot has seen from wrong poses would draw it back.
-                self.trail = Trail::default();
+            self.frame = motion(pose) * self.at.inverse();
+        }
+        if let Some(trajectories) = trajectories.as_mut() {
+            let (view, pose) = (View::of(vector), motion(pose));
+            if let Some(Corrected::Moved(_)) = corrected {
+                trajectories.found(robot, &view, pose);
+            } else {
+                let step = (!self.is_new).then_some(step);
+                trajectories.add(robot, &view, pose, step, None);
             }
         }
-        self.at = motion(pose);
-        if let Some(trajectories) = trajectories.as_mut() {
-            let step = (!core::mem::take(&mut self.is_new)).then_some(step);
-            trajectories.add(robot, &View::of(vector), self.at, step, None);
-        }
-        self.trail.add(pose, points, resolution);
-        let sure = followed.filter(Match::is_sure).or(found);
-        let fix = sure.map(|sure| Match { pose, ..sure })?;
-        self.reported.fix(&fix);
+        self.is_new = false;
+        let sure = followed.filter(Match::is_sure).map(|it| it.moved(&self.frame)).or(found);
+        // Without a view, the server still knows better than the robot what its odometry is worth.
+        let covariance = sure.map_or_else(|| self.drift.covariance(), |it| it.covariance);
+        let fix = Match { pose, covariance };
+        self.reported = reported.found(&fix);
         Some(fix)
     }
 
+    /// Goes a part of the way to where all robots' trajectories put the last view.
+    fn settle(&mut self, settled: Option<Motion>) {
+        let held = self.frame * self.at;
+        let Some(settled) = settled.filter(|it| !self.is_new && is_within(&it.inv_mul(&held), FAR))
+        else {
+            return;
+        };
+        let off = settled.translation.vector - held.translation.vector;
+        let turn = held.rotation.rotation_to(&settled.rotation).angle();
+        let pose = Motion::new(
+            held.translation.vector + SETTLING * off,
+            held.rotation.angle() + SETTLING * turn,
+        );
+        self.frame = pose * self.at.inverse();
+    }
+
     /// Begins anew where the robot, which did not know its pose, was found.
-    fn begin_at(&mut self, found: &Match) {
+    fn begin_at(&mut self, found: &Match, vector: &DistanceVector) {
         (self.way_mm, self.turned, self.booted) = (0.0, 0.0, None);
-        self.at = motion(found.pose);
-        (self.reported, self.drift) = (Reported::found_by(found), Drift::of_map());
+        (self.at, self.frame) = (motion(found.pose), Motion::identity());
+        (self.reported, self.drift) = (Reported::by(vector).found(found), Drift::of_map());
     }
 
     /// Moves on by what the odometry says, and then by what the robot sees of its trail's surfaces `near` the
@@ -203,6 +238,8 @@ impl BlindTrip {
             prior: Prior::Carried(place, turn),
         };
         let followed = near(&self.trail, predicted).follow(points, predicted, search);
+        // Odometry is not off by so much: the points were taken for something else.
+        let followed = followed.filter(|it| strayed.allow(predicted, it.pose));
         let pose = followed.map_or(predicted, |it| it.pose);
         self.at = motion(pose);
         match followed.map(|it| it.deviations()) {
@@ -237,4 +274,45 @@ impl BlindTrip {
 pub(super) fn reach(points: &[[f64; 2]]) -> Millimetres {
     let farthest = points.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max);
     Millimetres(farthest as i32 + 300)
+}
+
+#[cfg(test)]
+mod tests {
+    use ubimap_protocol::time::Instant;
+
+    use super::*;
+
+    #[test]
+    fn a_robot_goes_little_by_little_to_where_the_trajectories_put_it_unless_that_is_far() {
+        let at = |x: f64, degrees: f64| Pose::from_metres(x, 2.0, degrees.to_radians());
+        let vector = DistanceVector {
+            time: Instant(0),
+            pose: at(1.0, 179.0),
+            first: Angle(0),
+            step: 1,
+            distances: [].into_iter().collect(),
+            odometry: None,
+        };
+        let mut trip = BlindTrip::after(Duration::default(), Reported::by(&vector));
+        let held = |trip: &BlindTrip| submaps::pose(&(trip.frame * trip.at));
+        trip.settle(Some(motion(at(1.2, 179.0))));
+        assert_eq!(held(&trip), vector.pose, "the trajectories do not have this trip yet");
+        trip.remember(&vector, &[], Millimetres(50));
+        for far in [at(1.6, 179.0), at(1.0, -168.0)] {
+            trip.settle(Some(motion(far)));
+            assert_eq!(held(&trip), vector.pose);
+        }
+        trip.settle(None);
+        trip.settle(Some(motion(at(1.2, -176.0))));
+        let first = held(&trip);
+        assert!(
+            (first.x.0 - 1_040).abs() <= 1 && first.heading.distance(at(0.0, 180.0).heading) <= 2
+        );
+        (0..20).for_each(|_| trip.settle(Some(motion(at(1.2, -176.0)))));
+        let last = held(&trip);
+        assert!(
+            (last.x.0 - 1_200).abs() <= 3 && last.heading.distance(at(0.0, -176.0).heading) <= 10
+        );
+        assert_eq!(submaps::pose(&trip.at), vector.pose, "its own way is as it was");
+    }
 }

@@ -1,5 +1,6 @@
 //! How far a robot's pose has drifted from the map while it was followed by what it saw itself.
 
+use nalgebra::{Matrix3, Vector3};
 use ubimap_protocol::units::Pose;
 
 use super::odometry::Variances;
@@ -16,6 +17,10 @@ const FOLLOWED: Variances = Variances::of(10.0, 0.002_6);
 const SAME: (f64, f64) = (0.15, 0.087);
 /// From a place this far away (m), or turned by so much (40 degrees), a robot sees something else.
 const ELSEWHERE: (f64, f64) = (0.5, 0.7);
+
+/// Within this distance (m) and turn (11 degrees) of where a robot is believed to be, its pose follows what all robots'
+/// trajectories say; farther off they are wrong more often than right.
+pub(super) const FAR: (f64, f64) = (0.5, 0.2);
 
 /// The drift of a robot's pose in the map.
 ///
@@ -61,6 +66,12 @@ impl Drift {
         self.variances = self.variances.plus(strayed.unwrap_or(FOLLOWED));
     }
 
+    /// The covariance of the robot's pose in the map: of x, y (mm) and heading (rad).
+    pub(super) fn covariance(&self) -> Matrix3<f64> {
+        let Variances { place, turn } = self.variances;
+        Matrix3::from_diagonal(&Vector3::new(place, place, turn))
+    }
+
     /// Corrects a pose by a match with the map. `None` if the match contradicts it: either may be wrong.
     pub(super) fn correct(&mut self, pose: Pose, found: &Match) -> Option<Corrected> {
         let [x, y, turn] = found.deviations();
@@ -68,6 +79,10 @@ impl Drift {
         if let Some(pulled) = self.variances.correct(pose, found.pose, deviations) {
             self.contradiction = None;
             return Some(Corrected::Pulled(pulled));
+        }
+        // So near, the trajectories know better: what another robot drew may be as far off.
+        if is_within(&motion(found.pose).inv_mul(&motion(pose)), FAR) {
+            return None;
         }
         let by = motion(found.pose) * motion(pose).inverse();
         if let Some((from, before)) = self.contradiction {
@@ -89,13 +104,11 @@ impl Drift {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Matrix3;
-
     use super::*;
 
     fn found(x: f64, y: f64, degrees: f64) -> Match {
         let pose = Pose::from_metres(x, y, degrees.to_radians());
-        let covariance = Matrix3::from_diagonal(&nalgebra::Vector3::new(400.0, 400.0, 1e-4));
+        let covariance = Matrix3::from_diagonal(&Vector3::new(400.0, 400.0, 1e-4));
         Match { pose, covariance }
     }
 
@@ -125,9 +138,12 @@ mod tests {
             drift.correct(Pose::from_metres(x, 0.0, 0.0), &found(x + by, 0.0, 0.0))
         };
         let mut drift = Drift::none();
+        for x in [1.0, 2.0, 3.0] {
+            assert_eq!(far(&mut drift, x, 0.45), None, "the trajectories know better");
+        }
         assert_eq!(far(&mut drift, 1.0, 0.6), None);
         assert_eq!(far(&mut drift, 1.2, 0.6), None, "nearly the same view");
-        assert_eq!(far(&mut drift, 2.0, -0.5), None, "another correction");
+        assert_eq!(far(&mut drift, 2.0, -0.6), None, "another correction");
         assert_eq!(far(&mut drift, 2.6, 0.6), None);
         let there = Pose::from_metres(4.0, 0.0, 0.0);
         assert_eq!(far(&mut drift, 3.4, 0.6), Some(Corrected::Moved(there)));

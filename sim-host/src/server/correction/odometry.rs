@@ -1,9 +1,11 @@
-//! What a robot's reported poses tell of its odometry: how it moved from one to the next, and by how much it
-//! misjudges turns.
+//! What a robot tells of its odometry: how it moved from one view to the next, and by how much it misjudges turns.
 
 use nalgebra::UnitComplex;
 use ubimap_agent::locate::OdometryNoise;
-use ubimap_protocol::units::{Angle, Millimetres, Pose};
+use ubimap_protocol::{
+    message::DistanceVector,
+    units::{Angle, Millimetres, Pose},
+};
 
 use crate::mapping::{
     Match,
@@ -12,10 +14,8 @@ use crate::mapping::{
 
 /// Squared Mahalanobis distance beyond which robots reject a fix: one good fix in a thousand.
 pub(super) const GATE: f64 = 16.27;
-/// Variance of a motion that wheels do not notice, from one report to the next: 3 mm and 0.1 degrees.
-const PUSHED: Variances = Variances::of(3.0, 0.001_75);
-/// A fix farther away than this, in metres or radians, moves the robot's pose by a jump if it is taken.
-const JUMP: f64 = 0.3;
+/// Squared Mahalanobis distance, without the deviations of the estimate, by which one may correct a pose: three deviations.
+const CORRECTABLE: f64 = 9.0;
 /// Deviation of the scale of a robot's turns before anything is known.
 const SCALE: f64 = 0.01;
 /// By how much (deviation) that scale may change while cameras see the robot, which then learns itself.
@@ -57,21 +57,29 @@ impl Variances {
         (Millimetres(self.place.sqrt() as i32), Angle::from_radians(self.turn.sqrt().min(1.0)))
     }
 
+    /// Whether a pose may be corrected so far, by an estimate that already takes these variances into account.
+    pub(super) fn allow(self, pose: Pose, corrected: Pose) -> bool {
+        self.distance(pose, corrected, [0.0; 3]) <= CORRECTABLE
+    }
+
+    /// The squared Mahalanobis distance from a pose to another estimate of it with these deviations.
+    fn distance(self, pose: Pose, other: Pose, deviations: [f64; 3]) -> f64 {
+        let own = [self.place, self.place, self.turn];
+        let square =
+            |axis: usize| off(pose, other)[axis].powi(2) / (own[axis] + deviations[axis].powi(2));
+        (0..3).map(square).sum()
+    }
+
     /// Corrects a pose by another estimate of it, whose deviations of x, y (mm) and heading (rad) are given.
     /// `None` if the two are farther apart than their variances allow.
     pub(super) fn correct(&mut self, pose: Pose, seen: Pose, deviations: [f64; 3]) -> Option<Pose> {
-        let off = [
-            f64::from((seen.x - pose.x).0),
-            f64::from((seen.y - pose.y).0),
-            (seen.heading - pose.heading).radians(),
-        ];
-        let own = [self.place, self.place, self.turn];
-        let sums: [f64; 3] =
-            core::array::from_fn(|axis| own[axis] + deviations[axis] * deviations[axis]);
-        if (0..3).map(|axis| off[axis] * off[axis] / sums[axis]).sum::<f64>() > GATE {
+        if self.distance(pose, seen, deviations) > GATE {
             return None;
         }
-        let [x, y, turn]: [f64; 3] = core::array::from_fn(|axis| own[axis] / sums[axis]);
+        let off = off(pose, seen);
+        let own = [self.place, self.place, self.turn];
+        let [x, y, turn]: [f64; 3] =
+            core::array::from_fn(|axis| own[axis] / (own[axis] + deviations[axis].powi(2)));
         self.place *= 1.0 - 0.5 * (x + y);
         self.turn *= 1.0 - turn;
         let part = |off: f64, gain: f64| Millimetres((gain * off).round() as i32);
@@ -83,53 +91,41 @@ impl Variances {
     }
 }
 
-/// What a robot makes of the fixes that it gets for its reported poses. The next pose that it reports contains
-/// the correction, which is no motion.
-#[derive(Debug)]
+/// By how much a pose differs from another: in mm along x and y, and in rad.
+fn off(pose: Pose, other: Pose) -> [f64; 3] {
+    let [x, y] = [other.x - pose.x, other.y - pose.y].map(|it| f64::from(it.0));
+    [x, y, (other.heading - pose.heading).radians()]
+}
+
+/// Where a robot was by its own account when it sent a distance vector.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Reported {
-    /// The last reported pose, corrected as the robot does by now.
-    pose: Pose,
-    /// The fix for it.
-    fix: Option<Pose>,
-    /// As the robot estimates them.
-    variances: Variances,
+    /// In `map`: it contains the fixes that the robot has taken.
+    pub(super) pose: Pose,
+    /// In `odom`.
+    odometry: Option<Pose>,
 }
 
 impl Reported {
-    /// A robot that was just seen at its pose.
-    pub(super) fn seen_at(pose: Pose) -> Self {
-        Self { pose, fix: None, variances: Variances::of(20.0, 0.009) }
+    pub(super) fn by(vector: &DistanceVector) -> Self {
+        Self { pose: vector.pose, odometry: vector.odometry }
     }
 
-    /// A robot that did not know where it was, and takes this fix.
-    pub(super) fn found_by(fix: &Match) -> Self {
-        let [x, y, turn] = fix.deviations();
-        Self { pose: fix.pose, fix: None, variances: Variances::of(x.max(y), turn) }
+    /// A robot that has told nothing since it was at this pose.
+    pub(super) fn at(pose: Pose) -> Self {
+        Self { pose, odometry: None }
     }
 
-    /// How the robot has moved by its odometry when it reports its next pose.
-    pub(super) fn rolled_to(&mut self, pose: Pose) -> Motion {
-        let size = |it: &Motion| it.translation.vector.norm() + it.rotation.angle().abs();
-        let moved_from = |from: Pose| motion(from).inverse() * motion(pose);
-        let mut rolled = moved_from(self.pose);
-        // A robot that was far off may have rejected the fix, or given in to the last few.
-        if let Some(fix) = self.fix {
-            let is_far = size(&(motion(fix).inverse() * motion(self.pose))) > JUMP;
-            let jumped = moved_from(fix);
-            if is_far && size(&jumped) < size(&rolled) {
-                rolled = jumped;
-            }
-        }
-        (self.pose, self.fix) = (pose, None);
-        self.variances = self.variances.plus(Variances::of_motion(&rolled)).plus(PUSHED);
-        rolled
+    /// With a fix for the pose. A robot without odometry goes on from it.
+    pub(super) fn found(self, fix: &Match) -> Self {
+        Self { pose: fix.pose, ..self }
     }
 
-    /// Notes the fix that the robot gets for the pose that it reported last.
-    pub(super) fn fix(&mut self, fix: &Match) {
-        self.fix = Some(fix.pose);
-        let corrected = self.variances.correct(self.pose, fix.pose, fix.deviations());
-        self.pose = corrected.unwrap_or(self.pose);
+    /// How the robot has moved until it sent another vector.
+    pub(super) fn rolled_to(&self, next: &Self) -> Motion {
+        let odometry = self.odometry.zip(next.odometry);
+        let (from, to) = odometry.unwrap_or((self.pose, next.pose));
+        motion(from).inv_mul(&motion(to))
     }
 }
 
@@ -178,84 +174,42 @@ impl TurnScale {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Matrix3;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
-    use ubimap_agent::locate::{Located, Locator, PoseSource, UncertaintyLimit};
-    use ubimap_protocol::{message::Certainty, time::Instant};
 
     use super::*;
 
-    fn fix(pose: Pose) -> (Match, Certainty) {
-        let [x, y, heading] = [30.0f64, 40.0, 0.01];
-        let covariance =
-            Matrix3::from_diagonal(&nalgebra::Vector3::new(x * x, y * y, heading * heading));
-        let heading = Angle::from_radians(heading).0;
-        (Match { pose, covariance }, Certainty { x: 30, y: 40, heading })
-    }
-
-    /// A robot, the real one's locator, drives on an arc and gets a fix each second. Between its reported poses
-    /// it turns by what its odometry says.
     #[test]
-    fn the_motion_between_reports_is_that_of_the_odometry() {
-        let at = |second: f64| {
-            let turn = 0.3 * second;
-            Pose::from_metres(turn.sin(), 1.0 - turn.cos(), turn)
+    fn a_fix_that_a_robot_has_taken_is_no_motion() {
+        let at = |x: f64, y: f64, degrees: f64| Pose::from_metres(x, y, degrees.to_radians());
+        let before = Reported { pose: at(1.0, 1.0, 0.0), odometry: Some(at(-3.0, 0.0, 90.0)) };
+        let after = Reported { pose: at(2.0, 1.0, 20.0), odometry: Some(at(-3.0, 0.5, 95.0)) };
+        let near = |it: Motion, x: f64, degrees: f64| {
+            assert!((it.translation.vector - nalgebra::Vector2::new(x, 0.0)).norm() < 2e-3, "{it}");
+            assert!((it.rotation.angle().to_degrees() - degrees).abs() < 0.02, "{it}");
         };
-        let limit = UncertaintyLimit::default();
-        let mut locator = Locator::new(PoseSource::Fixes, &OdometryNoise::default(), limit);
-        let mut reported = Reported::seen_at(at(0.0));
-        let (mut worst, mut naive) = (0.0f64, 0.0f64);
-        let mut last = at(0.0);
-        for second in 0..40u32 {
-            for tick in 0..20 {
-                let moment = Instant(1_000_000 * u64::from(second + 10) + 50_000 * tick);
-                locator.odometry(moment, at(f64::from(second) + 0.05 * tick as f64)).unwrap();
-            }
-            let moment = Instant(1_000_000 * u64::from(second + 10));
-            let take = |locator: &mut Locator, pose, certainty| {
-                let now = Instant(moment.0 + 900_000);
-                locator.fix(moment, Some(moment), pose, certainty, now).unwrap()
-            };
-            if second == 0 {
-                take(&mut locator, at(0.0), Certainty { x: 20, y: 20, heading: 94 });
-                continue;
-            }
-            let Located::At(pose, _) = locator.at(moment, Instant(moment.0 + 900_000), true) else {
-                panic!("{second}")
-            };
-            let rolled = reported.rolled_to(pose);
-            worst = worst.max((rolled.rotation.angle() - 0.3).abs().to_degrees());
-            naive = naive.max(((pose.heading - last.heading).radians() - 0.3).abs().to_degrees());
-            last = pose;
-            // The walls of every five metres were drawn by another robot.
-            let side = if second / 5 % 2 == 0 { 1.0 } else { -1.0 };
-            let map = motion(at(f64::from(second)));
-            let seen = Pose::from_metres(
-                map.translation.x + 0.02 * side,
-                map.translation.y,
-                map.rotation.angle() + 0.8f64.to_radians() * side,
-            );
-            let (found, certainty) = fix(seen);
-            take(&mut locator, seen, certainty);
-            reported.fix(&found);
+        near(before.rolled_to(&after), 0.5, 5.0);
+        for without in [before, after].map(|it| Reported { odometry: None, ..it }) {
+            near(without.rolled_to(&without), 0.0, 0.0);
         }
-        println!("{worst:.2} degrees off, {naive:.2} with the fixes");
-        assert!(worst < 0.15 && naive > 0.4, "{worst} {naive}");
+        near(Reported { odometry: None, ..before }.rolled_to(&after), 1.0, 20.0);
+        near(before.rolled_to(&Reported { odometry: None, ..after }), 1.0, 20.0);
     }
 
     #[test]
-    fn a_robot_that_gives_in_to_its_fixes_has_not_moved() {
-        let (told, there) = (Pose::from_metres(1.0, 1.0, 0.0), Pose::from_metres(2.0, 1.0, 0.5));
-        let mut reported = Reported::seen_at(told);
-        for _ in 0..3 {
-            reported.fix(&fix(there).0);
-            let stood = reported.rolled_to(told);
-            assert!(stood.translation.vector.norm() + stood.rotation.angle().abs() < 1e-3);
+    fn a_match_may_not_correct_odometry_by_more_than_it_errs() {
+        let at = |x: f64, degrees: f64| Pose::from_metres(x, 0.0, degrees.to_radians());
+        let strayed = Variances::of(20.0, 1.0f64.to_radians());
+        for (corrected, is_allowed) in [
+            (at(0.0, 2.9), true),
+            (at(0.0, 3.1), false),
+            (at(0.0, -3.1), false),
+            (at(0.059, 0.0), true),
+            (at(-0.061, 0.0), false),
+            (at(0.05, 2.0), false),
+        ] {
+            assert_eq!(strayed.allow(at(0.0, 0.0), corrected), is_allowed, "{corrected:?}");
         }
-        reported.fix(&fix(there).0);
-        let moved = reported.rolled_to(Pose::from_metres(2.1, 1.0, 0.5));
-        assert!((moved.translation.vector.norm() - 0.1).abs() < 1e-3, "{moved}");
     }
 
     #[test]

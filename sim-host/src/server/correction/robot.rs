@@ -12,7 +12,7 @@ use ubimap_protocol::{
 use super::{
     blind::{BlindTrip, reach},
     cure::{Cure, CureStep},
-    odometry::TurnScale,
+    odometry::{Reported, TurnScale},
 };
 use crate::{
     mapping::{
@@ -124,13 +124,14 @@ impl RobotCorrection {
             return None;
         }
         let unseen = vector.time.since(newest);
-        let blind = self.blind.get_or_insert_with(|| BlindTrip::after(unseen, vector.pose));
+        let blind =
+            self.blind.get_or_insert_with(|| BlindTrip::after(unseen, Reported::by(vector)));
         if unseen < OUT_OF_VIEW {
             if let Some(trajectories) = trajectories {
                 let pose = motion(vector.pose);
                 trajectories.add(robot, &View::of(vector), pose, None, Some(pose));
             }
-            blind.remember(vector.pose, &points, resolution);
+            blind.remember(vector, &points, resolution);
             return None;
         }
         let views = (map, resolution);
