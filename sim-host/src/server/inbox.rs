@@ -18,7 +18,7 @@ use crate::mapping::{RobotLayer, Updated};
 
 /// Deviations of the pose at which a robot was last heard of before it booted: it neither drives nor maps at
 /// these. Its base may have gone on turning until it noticed, so that any heading is possible.
-const HEARSAY: Certainty = Certainty { x: 250, y: 250, heading: 16_384 };
+const HEARSAY: Certainty = Certainty { x: 1_000, y: 1_000, heading: 16_384 };
 
 /// Time without a pose after which no camera sees a robot that does not know its pose.
 const UNSEEN: Duration = Duration::from_secs(1);
