@@ -271,10 +271,10 @@ fn ground(
 
 /// The server's cells; the robot's own, which are never movable, where the server's are unknown and, in the `blind`
 /// cells, where it has itself seen something stand: if its pose is off, the server's map is right, and what is in the
-/// robot's way is where the robot has drawn it. What the server has as movable, such as a closed door, stays so.
+/// robot's way is where the robot has drawn it. That holds for what the server has as movable, too: it is there now.
 fn passable(merged: Row, own: Row, blind: u32) -> Row {
-    let (unknown, movable) = (!(merged.low | merged.high), merged.low & merged.high);
-    let solid = own.high & blind & !movable;
+    let unknown = !(merged.low | merged.high);
+    let solid = own.high & blind;
     Row {
         low: (merged.low | own.low & unknown) & !solid,
         high: merged.high | own.high & unknown | solid,
@@ -303,8 +303,8 @@ mod tests {
                 let mut tile = Tile::UNKNOWN;
                 tile.set_row(0, passable(row(merged), row(own), u32::from(is_blind) << 5));
                 let expected = match (merged, own) {
+                    (_, Occupied) if is_blind => Occupied,
                     (Unknown, own) => own,
-                    (Free, Occupied) if is_blind => Occupied,
                     (merged, _) => merged,
                 };
                 assert_eq!(tile.cell(5, 0), expected, "{merged:?}, {own:?}, {is_blind}");
