@@ -61,8 +61,7 @@ pub(crate) const OBSTACLE_LOST: Duration = Duration::from_secs(2);
 
 /// Minimum interval of distance vectors at standstill, where they tell nothing new.
 pub(crate) const STANDING_VECTOR_INTERVAL: Duration = Duration::from_secs(60);
-/// Minimum interval of distance vectors of a blind robot. The server answers each with a fix if it
-/// can locate the robot on the map.
+/// Minimum interval of distance vectors of a blind robot. The server answers each with a fix.
 pub(crate) const BLIND_VECTOR_INTERVAL: Duration = Duration::from_secs(1);
 
 // Driving.

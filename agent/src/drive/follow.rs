@@ -52,7 +52,7 @@ pub struct Motion {
     pub walking: f32,
     /// Distance to keep from people.
     pub person_margin: f32,
-    /// Standard deviation of the position from which the robot drives slowly.
+    /// Standard deviation of the position from half of which on the robot drives more and more slowly.
     pub unsure: f32,
 }
 
@@ -337,7 +337,7 @@ impl Follower {
         let in_curve = (motion.top_turn / bend).min(root(motion.side_acceleration / bend));
         let to_end = root(2.0 * motion.acceleration * left);
         // Full speed up to half the standard deviation, then linearly down.
-        let sure = (2.0 - 2.0 * sight.unsure / motion.unsure.max(1.0)).min(1.0).max(UNSURE_SPEED);
+        let sure = (2.0 - 2.0 * sight.unsure / motion.unsure.max(1.0)).clamp(UNSURE_SPEED, 1.0);
         let room = sight.near.nearest().unwrap_or(f32::MAX) - f32::from(motion.radius);
         let beside = (room / ROOM_TIME).max(CREEP);
         let sure = motion.top_speed * sure;

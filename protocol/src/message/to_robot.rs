@@ -170,7 +170,7 @@ pub enum FixSource {
     /// A camera saw the robot's marker.
     #[default]
     Camera,
-    /// The robot's observations were matched with the map.
+    /// The robot's observations were matched with the map, and it was followed by its odometry since.
     MapMatch,
 }
 

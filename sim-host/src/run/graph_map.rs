@@ -44,6 +44,10 @@ impl Received {
     pub(super) fn look(&mut self, fleet: &Fleet<'_>) {
         for (robot, vectors) in &mut self.robots {
             let Some(newest) = fleet.server().distance_vector(*robot) else { continue };
+            // One without columns would cut the chain of views.
+            if newest.distances.is_empty() {
+                continue;
+            }
             if vectors.last().is_none_or(|last| last.time < newest.time) {
                 vectors.push(newest.clone());
             }

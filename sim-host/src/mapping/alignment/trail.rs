@@ -21,7 +21,7 @@ struct Seen {
     count: u32,
 }
 
-/// The surfaces that a robot has seen on its way, placed by its poses as corrected by the server.
+/// The surfaces that a robot has seen on its way, placed by its poses as the server follows them, in a frame of their own.
 /// They are finer than the cells that the robot draws, and do not include its pose error.
 #[derive(Clone, Debug, Default)]
 pub struct Trail {

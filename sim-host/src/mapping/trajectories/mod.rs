@@ -152,8 +152,8 @@ impl Trajectories {
         if is_same && (has_stood || piece.views.len() < VIEWS) {
             let at = piece.last().at * step.by;
             if has_stood {
-                piece.stand(view, at, seen.is_some());
-                self.robots.entry(robot).or_default().since = Some(step);
+                let is_noted = piece.stand(view, at, seen.is_some());
+                self.robots.entry(robot).or_default().since = (!is_noted).then_some(step);
             } else {
                 piece.add(view, at, seen.is_some());
             }

@@ -77,13 +77,17 @@ impl Piece {
         self.views.push(Placed { time: view.time, at, reported: view.reported, is_seen });
     }
 
-    /// The robot has hardly moved since its last view, but may have corrected its pose.
-    pub(super) fn stand(&mut self, view: &View, at: Motion, is_seen: bool) {
+    /// The robot has hardly moved since its last view, but may have corrected its pose. Returns whether this is its last
+    /// view now.
+    pub(super) fn stand(&mut self, view: &View, at: Motion, is_seen: bool) -> bool {
         let last = self.last();
         let expected = last.reported * last.at.inv_mul(&at);
-        if last.is_seen != is_seen || !is_within(&expected.inv_mul(&view.reported), SAME) {
+        let differs =
+            last.is_seen != is_seen || !is_within(&expected.inv_mul(&view.reported), SAME);
+        if differs {
             self.views.push(Placed { time: view.time, at, reported: view.reported, is_seen });
         }
+        differs
     }
 
     /// Forgets what ground is free.

@@ -47,7 +47,7 @@ const BENT: f64 = 0.03;
 const STEPPED: Variances = Variances::of(20.0, 0.01);
 /// Maximum deviation of a followed robot's heading, in radians, to learn from it.
 const SURE: f64 = 0.02;
-/// Part of the way that a robot's pose goes to where the trajectories put it, each second: a wrong match among them, which
+/// Part of the way that a robot's pose goes to where the trajectories put it, with each view: a wrong match among them, which
 /// is taken back after some seconds, moves it little.
 const SETTLING: f64 = 0.2;
 /// How far from the place where it is believed to be a robot that has booted is sought.
@@ -190,7 +190,8 @@ impl BlindTrip {
         self.is_new = false;
         let sure = followed.filter(Match::is_sure).map(|it| it.moved(&self.frame)).or(found);
         // Without a view, the server still knows better than the robot what its odometry is worth.
-        let covariance = sure.map_or_else(|| self.drift.covariance(), |it| it.covariance);
+        let covariance =
+            sure.map_or_else(|| self.drift.covariance(self.way_mm), |it| it.covariance);
         let fix = Match { pose, covariance };
         self.reported = reported.found(&fix);
         Some(fix)
@@ -214,7 +215,7 @@ impl BlindTrip {
 
     /// Begins anew where the robot, which did not know its pose, was found.
     fn begin_at(&mut self, found: &Match, vector: &DistanceVector) {
-        (self.way_mm, self.turned, self.booted) = (0.0, 0.0, None);
+        (self.way_mm, self.turned, self.booted, self.is_new) = (0.0, 0.0, None, false);
         (self.at, self.frame) = (motion(found.pose), Motion::identity());
         (self.reported, self.drift) = (Reported::by(vector).found(found), Drift::of_map());
     }

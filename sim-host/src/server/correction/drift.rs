@@ -66,9 +66,11 @@ impl Drift {
         self.variances = self.variances.plus(strayed.unwrap_or(FOLLOWED));
     }
 
-    /// The covariance of the robot's pose in the map: of x, y (mm) and heading (rad).
-    pub(super) fn covariance(&self) -> Matrix3<f64> {
+    /// The covariance of the robot's pose in the map, of x, y (mm) and heading (rad), `way` mm after it was last known.
+    pub(super) fn covariance(&self, way: f64) -> Matrix3<f64> {
         let Variances { place, turn } = self.variances;
+        // The heading went wrong little by little on the way, and the position with it.
+        let place = place + turn * way * way / 3.0;
         Matrix3::from_diagonal(&Vector3::new(place, place, turn))
     }
 
@@ -82,6 +84,7 @@ impl Drift {
         }
         // So near, the trajectories know better: what another robot drew may be as far off.
         if is_within(&motion(found.pose).inv_mul(&motion(pose)), FAR) {
+            self.contradiction = None;
             return None;
         }
         let by = motion(found.pose) * motion(pose).inverse();
@@ -145,10 +148,23 @@ mod tests {
         assert_eq!(far(&mut drift, 1.2, 0.6), None, "nearly the same view");
         assert_eq!(far(&mut drift, 2.0, -0.6), None, "another correction");
         assert_eq!(far(&mut drift, 2.6, 0.6), None);
-        let there = Pose::from_metres(4.0, 0.0, 0.0);
-        assert_eq!(far(&mut drift, 3.4, 0.6), Some(Corrected::Moved(there)));
+        assert_eq!(far(&mut drift, 3.2, 0.4), None, "another one again, and near");
+        assert_eq!(far(&mut drift, 3.8, 0.6), None);
+        let there = Pose::from_metres(5.0, 0.0, 0.0);
+        assert_eq!(far(&mut drift, 4.4, 0.6), Some(Corrected::Moved(there)));
         // It is as unsure as the map now.
-        assert!(matches!(far(&mut drift, 3.4, 0.1), Some(Corrected::Pulled(_))));
+        assert!(matches!(far(&mut drift, 4.4, 0.1), Some(Corrected::Pulled(_))));
+    }
+
+    #[test]
+    fn a_heading_that_goes_wrong_on_the_way_displaces_the_position() {
+        let mut drift = Drift::none();
+        let step = Variances::of(20.0, 0.004);
+        (0..100).for_each(|_| drift.go(Some(step)));
+        // 100 steps of 0.2 m, by an integral of what each turn does to the rest of the way.
+        let integral: f64 = (0..100).map(|it| (0.004 * 200.0 * f64::from(it)).powi(2)).sum();
+        let [still, driven] = [0.0, 20_000.0].map(|way| drift.covariance(way)[(1, 1)]);
+        assert!(((driven - still) / integral - 1.0).abs() < 0.1, "{still} {driven} {integral}");
     }
 
     #[test]

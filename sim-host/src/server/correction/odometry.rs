@@ -189,9 +189,10 @@ mod tests {
             assert!((it.rotation.angle().to_degrees() - degrees).abs() < 0.02, "{it}");
         };
         near(before.rolled_to(&after), 0.5, 5.0);
-        for without in [before, after].map(|it| Reported { odometry: None, ..it }) {
-            near(without.rolled_to(&without), 0.0, 0.0);
-        }
+        let fix = Match { pose: after.pose, covariance: nalgebra::Matrix3::identity() };
+        near(before.found(&fix).rolled_to(&after), 0.5, 5.0);
+        let without = Reported { odometry: None, ..before };
+        near(without.found(&fix).rolled_to(&after), 0.0, 0.0);
         near(Reported { odometry: None, ..before }.rolled_to(&after), 1.0, 20.0);
         near(before.rolled_to(&Reported { odometry: None, ..after }), 1.0, 20.0);
     }
