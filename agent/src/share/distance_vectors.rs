@@ -15,8 +15,8 @@ const FIRST: u8 = 24;
 #[derive(Debug)]
 pub(crate) struct DistanceVectors {
     interval: Duration,
-    /// When the scan of the last vector was taken (robot's clock).
-    last: Option<Instant>,
+    /// When the scan of the last vector was taken (robot's clock), once there was one in this session.
+    last: Instant,
     /// Whether the robot has moved since the last vector. Where it comes to rest is as uncertain as its way,
     /// and it may stay there for long.
     moved: bool,
@@ -28,12 +28,12 @@ pub(crate) struct DistanceVectors {
 impl DistanceVectors {
     /// `interval` is the usual minimum time between two vectors of a moving robot.
     pub(crate) fn new(interval: Duration) -> Self {
-        Self { interval, last: None, moved: false, first: FIRST, waiting: None }
+        Self { interval, last: Instant(0), moved: false, first: FIRST, waiting: None }
     }
 
     /// Starts a session: the server has no vectors of this robot yet.
     pub(crate) fn begin_session(&mut self) {
-        (self.last, self.moved, self.first, self.waiting) = (None, false, FIRST, None);
+        (self.moved, self.first, self.waiting) = (false, FIRST, None);
     }
 
     /// Notes that the robot has moved.
@@ -49,13 +49,13 @@ impl DistanceVectors {
             (true, _) if blind || self.first > 0 => self.interval.min(BLIND_VECTOR_INTERVAL),
             (true, _) => self.interval,
         };
-        self.last.is_none_or(|last| taken >= last + wait)
+        self.first == FIRST || taken >= self.last + wait
     }
 
     /// Stores the vector that was due, if the scan yielded one. It replaces a vector that has not
     /// been sent yet.
     pub(crate) fn take(&mut self, taken: Instant, vector: Option<DistanceVector>) {
-        self.last = Some(taken);
+        self.last = taken;
         self.moved = false;
         self.first = self.first.saturating_sub(1);
         self.waiting = vector;
