@@ -61,7 +61,8 @@ pub(crate) const OBSTACLE_LOST: Duration = Duration::from_secs(2);
 
 /// Minimum interval of distance vectors at standstill, where they tell nothing new.
 pub(crate) const STANDING_VECTOR_INTERVAL: Duration = Duration::from_secs(60);
-/// Minimum interval of distance vectors of a blind robot. The server answers each with a fix.
+/// Minimum interval of distance vectors of a blind robot. The server answers each with a fix,
+/// unless the robot has booted and was not found yet.
 pub(crate) const BLIND_VECTOR_INTERVAL: Duration = Duration::from_secs(1);
 
 // Driving.

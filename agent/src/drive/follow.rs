@@ -52,7 +52,7 @@ pub struct Motion {
     pub walking: f32,
     /// Distance to keep from people.
     pub person_margin: f32,
-    /// Standard deviation of the position from half of which on the robot drives more and more slowly.
+    /// Standard deviation of the position, in millimetres. Above half of it the robot slows down, to 0.4 of its speed.
     pub unsure: f32,
 }
 

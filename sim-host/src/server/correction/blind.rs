@@ -239,7 +239,7 @@ impl BlindTrip {
             prior: Prior::Carried(place, turn),
         };
         let followed = near(&self.trail, predicted).follow(points, predicted, search);
-        // Odometry is not off by so much: the points were taken for something else.
+        // A match that contradicts the odometry by more than it can err is wrong.
         let followed = followed.filter(|it| strayed.allow(predicted, it.pose));
         let pose = followed.map_or(predicted, |it| it.pose);
         self.at = motion(pose);

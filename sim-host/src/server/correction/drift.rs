@@ -82,7 +82,7 @@ impl Drift {
             self.contradiction = None;
             return Some(Corrected::Pulled(pulled));
         }
-        // So near, the trajectories know better: what another robot drew may be as far off.
+        // Another robot may have drawn this as far off, so the trajectories decide.
         if is_within(&motion(found.pose).inv_mul(&motion(pose)), FAR) {
             self.contradiction = None;
             return None;

@@ -57,7 +57,7 @@ impl Variances {
         (Millimetres(self.place.sqrt() as i32), Angle::from_radians(self.turn.sqrt().min(1.0)))
     }
 
-    /// Whether a pose may be corrected so far, by an estimate that already takes these variances into account.
+    /// Whether a correction is plausible: at most three deviations. `corrected` already combines the pose with a match.
     pub(super) fn allow(self, pose: Pose, corrected: Pose) -> bool {
         self.distance(pose, corrected, [0.0; 3]) <= CORRECTABLE
     }
