@@ -1,6 +1,8 @@
 //! A robot that drives autonomously along the server's paths, around the obstacles that the server
 //! reports and its own sensor sees, at its own rate.
 
+use core::cell::Cell;
+
 use heapless::Vec;
 use ubimap_protocol::{
     message::{EventCode, MAX_OBSTACLES, MAX_PEERS, Obstacle, ObstacleClass, Peer, Waypoint},
@@ -21,7 +23,10 @@ use super::{
     search::Workspace,
     stops::Stops,
 };
-use crate::timing::{DOUBTS_OWN, OBSTACLE_LOST};
+use crate::{
+    map::OwnTile,
+    timing::{DOUBTS_OWN, OBSTACLE_LOST},
+};
 
 /// Distance at which an intermediate point counts as passed, in millimetres.
 const PASSED: i32 = 150;
@@ -172,8 +177,9 @@ impl Drives for Navigator<'_> {
         }
         // What it drew before its pose was corrected may stand where nothing is.
         let trusts_own = self.shut_in.is_none_or(|last| now.since(last) >= DOUBTS_OWN);
-        self.command =
-            self.driver.step(&inputs, |column, row| ground(surroundings, trusts_own, column, row));
+        let found = Cell::default();
+        let ground = |column, row| ground(surroundings, trusts_own, &found, column, row);
+        self.command = self.driver.step(&inputs, ground);
         let code = self.driver.poll_event().and_then(Reason::event_code);
         // Only the last point counts as the end of the path.
         code.filter(|&code| is_last || code != EventCode::PathDone)
@@ -246,11 +252,15 @@ fn squared_distance(from: Pose, x: Millimetres, y: Millimetres) -> i64 {
     way(x, from.x).pow(2) + way(y, from.y).pow(2)
 }
 
+/// A tile of the robot's own that was looked for, and whether there is one.
+type Found<'m> = (Option<TileId>, Option<&'m OwnTile>);
+
 /// The states of the 32 cells in a column of tiles and a row of cells. `trusts_own` says whether what only the robot has
-/// seen stand is in its way.
-fn ground(
-    surroundings: &Surroundings<'_, '_>,
+/// seen stand is in its way. `found` keeps the last tile: a coarse window reads four rows of each in a row.
+fn ground<'m>(
+    surroundings: &Surroundings<'m, '_>,
     trusts_own: bool,
+    found: &Cell<Found<'m>>,
     column: i32,
     row: i32,
 ) -> GroundRow {
@@ -262,7 +272,10 @@ fn ground(
     let around = surroundings.fused.around(id, surroundings.now);
     let merged = around.merged.map(|tile| tile.row(y)).unwrap_or_default();
     let covered = around.covered.and_then(|rows| rows.get(y)).copied().unwrap_or_default();
-    let cells = match surroundings.own.find(id) {
+    if found.get().0 != Some(id) {
+        found.set((Some(id), surroundings.own.find(id)));
+    }
+    let cells = match found.get().1 {
         Some(own) => passable(merged, own.row(y), if trusts_own { !covered } else { 0 }),
         None => merged,
     };

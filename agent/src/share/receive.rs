@@ -43,6 +43,11 @@ impl FusedTile {
         confirmed: 0,
     };
 
+    /// The cells in the merged map, if all of them have been received.
+    fn complete(&self) -> Option<&Tile> {
+        (self.fused_version.0 != 0 && self.fused_next == 0).then_some(&self.cells)
+    }
+
     /// The tile's state in one layer; `epoch` is the server's.
     fn replica(&self, layer: Layer, epoch: Epoch) -> Replica {
         match layer {
@@ -180,8 +185,7 @@ impl<'b> FusedMap<'b> {
 
     /// The cells of a fused tile; `None` if the tile is not held or is incomplete.
     pub fn tile(&self, id: TileId) -> Option<&Tile> {
-        let place = self.place(id)?;
-        (place.fused_version.0 != 0 && place.fused_next == 0).then_some(&place.cells)
+        self.place(id).and_then(FusedTile::complete)
     }
 
     /// What the server knows about a tile: its cells in the merged map, and the cells covered by
@@ -191,9 +195,10 @@ impl<'b> FusedMap<'b> {
             let confirmed = place.confirmed != 0 && place.coverage_next == 0;
             confirmed && ticks(now).wrapping_sub(place.confirmed) < FRESH
         };
+        let place = self.place(id);
         Surround {
-            merged: self.tile(id),
-            covered: self.place(id).filter(fresh).map(|place| &place.covered),
+            merged: place.and_then(FusedTile::complete),
+            covered: place.filter(fresh).map(|place| &place.covered),
             masked: None,
         }
     }
