@@ -49,6 +49,7 @@ use crate::{
     perception::markers::Hue,
     recording::PixelModel,
     report::{self, Caption, Marker, OutputFile, TrackedPerson},
+    server::coordination::{Area, DrivableFloor},
     world::{MarkerConfig, RobotConfig, Scenario, SimRobot, WallGrid, World},
 };
 
@@ -85,6 +86,11 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
     let mut config = deployed(options, &scenario, &world);
+    // Through a gap in its walls, robots would leave a plan, and explore the void. One that is too large for this has no
+    // such limits.
+    config.floor = plan
+        .as_ref()
+        .and_then(|plan| DrivableFloor::new(RESOLUTION, Some(&Area::extent_of(plan)), None).ok());
     config.labels = labels::read(options.run.labels.as_deref())?;
     if !options.no_classes {
         config.labels.extend(scenario.labels()?);

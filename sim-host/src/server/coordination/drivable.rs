@@ -109,6 +109,11 @@ impl DrivableFloor {
 }
 
 impl Area {
+    /// What a map covers, whatever its cells are.
+    pub fn extent_of(map: &OccupancyGrid) -> Self {
+        Self::Polygon(outline(map).into())
+    }
+
     fn contains(&self, corner: [f64; 2], side_m: f64) -> bool {
         match self {
             Self::Polygon(corners) => is_inside(corners, corner.map(|it| it + side_m / 2.0)),
@@ -168,6 +173,8 @@ mod tests {
         assert!((-30..50).all(|column| {
             mask.allows(column, 7) == ((0..20).contains(&column) && column != 10)
         }));
+        let extent = floor(Some(&Area::extent_of(&plan)), None);
+        assert!((-30..50).all(|column| extent.allows(column, 7) == (0..20).contains(&column)));
         // Both together: the plan's walls go from any area.
         let half = Area::Polygon(vec![[0.4, 0.0], [2.0, 0.0], [2.0, 1.0], [0.4, 1.0]]);
         let both = floor(Some(&half), Some(&plan));

@@ -172,7 +172,7 @@ impl BlindTrip {
         let mut pose = submaps::pose(&(self.frame * self.at));
         let search = self.go(&rolled);
         let found = surfaces(pose, reach + search.position).find(points, pose, search);
-        let corrected = found.and_then(|found| self.drift.correct(pose, &found));
+        let corrected = found.and_then(|found| self.drift.correct(pose, &found, self.way_mm));
         if let Some(corrected) = corrected {
             (self.way_mm, self.turned) = (0.0, 0.0);
             pose = corrected.pose();
@@ -239,8 +239,8 @@ impl BlindTrip {
             prior: Prior::Carried(place, turn),
         };
         let followed = near(&self.trail, predicted).follow(points, predicted, search);
-        // A match that contradicts the odometry by more than it can err is wrong.
-        let followed = followed.filter(|it| strayed.allow(predicted, it.pose));
+        // A match that contradicts the odometry by more than it can err is wrong. It contains what the odometry says.
+        let followed = followed.filter(|it| strayed.allow(predicted, it.pose, [0.0; 3]));
         let pose = followed.map_or(predicted, |it| it.pose);
         self.at = motion(pose);
         match followed.map(|it| it.deviations()) {

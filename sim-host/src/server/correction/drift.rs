@@ -68,22 +68,32 @@ impl Drift {
 
     /// The covariance of the robot's pose in the map, of x, y (mm) and heading (rad), `way` mm after it was last known.
     pub(super) fn covariance(&self, way: f64) -> Matrix3<f64> {
-        let Variances { place, turn } = self.variances;
-        // The heading went wrong little by little on the way, and the position with it.
-        let place = place + turn * way * way / 3.0;
+        let (place, turn) = (self.place(way), self.variances.turn);
         Matrix3::from_diagonal(&Vector3::new(place, place, turn))
     }
 
-    /// Corrects a pose by a match with the map. `None` if the match contradicts it: either may be wrong.
-    pub(super) fn correct(&mut self, pose: Pose, found: &Match) -> Option<Corrected> {
+    /// The variance of its position, in mm^2: the heading went wrong little by little on the way, and the position with
+    /// it.
+    fn place(&self, way: f64) -> f64 {
+        let Variances { place, turn } = self.variances;
+        place + turn * way * way / 3.0
+    }
+
+    /// Corrects a pose by a match with the map, `way` mm after the pose was last known. `None` if the match contradicts
+    /// it: either may be wrong.
+    pub(super) fn correct(&mut self, pose: Pose, found: &Match, way: f64) -> Option<Corrected> {
         let [x, y, turn] = found.deviations();
         let deviations = [x.hypot(MAP.0), y.hypot(MAP.0), turn.hypot(MAP.1)];
         if let Some(pulled) = self.variances.correct(pose, found.pose, deviations) {
             self.contradiction = None;
             return Some(Corrected::Pulled(pulled));
         }
-        // Another robot may have drawn this as far off, so the trajectories decide.
-        if is_within(&motion(found.pose).inv_mul(&motion(pose)), FAR) {
+        // Another robot may have drawn this as far off, so the trajectories decide. Beyond that the robot may be lost, if
+        // it can have drifted so far.
+        let is_near = is_within(&motion(found.pose).inv_mul(&motion(pose)), FAR);
+        let place = self.place(way);
+        let drifted = Variances { place, ..self.variances };
+        if is_near || !drifted.allow(pose, found.pose, deviations) {
             self.contradiction = None;
             return None;
         }
@@ -122,7 +132,7 @@ mod tests {
         let mut offs = Vec::new();
         for _ in 0..30 {
             drift.go(None);
-            let Some(Corrected::Pulled(pulled)) = drift.correct(pose, &found(0.06, 0.0, 2.0))
+            let Some(Corrected::Pulled(pulled)) = drift.correct(pose, &found(0.06, 0.0, 2.0), 0.0)
             else {
                 panic!("{offs:?}")
             };
@@ -137,10 +147,14 @@ mod tests {
 
     #[test]
     fn a_pose_moves_only_if_views_from_two_places_agree() {
-        let far = |drift: &mut Drift, x: f64, by: f64| {
-            drift.correct(Pose::from_metres(x, 0.0, 0.0), &found(x + by, 0.0, 0.0))
+        let after = |drift: &mut Drift, x: f64, by: f64, way: f64| {
+            drift.correct(Pose::from_metres(x, 0.0, 0.0), &found(x + by, 0.0, 0.0), way)
         };
         let mut drift = Drift::none();
+        for x in [1.0, 2.0, 3.0] {
+            assert_eq!(after(&mut drift, x, 0.6, 10_000.0), None, "it can't have drifted so far");
+        }
+        let far = |drift: &mut Drift, x: f64, by: f64| after(drift, x, by, 40_000.0);
         for x in [1.0, 2.0, 3.0] {
             assert_eq!(far(&mut drift, x, 0.45), None, "the trajectories know better");
         }
@@ -171,7 +185,8 @@ mod tests {
     fn a_robot_that_has_strayed_follows_the_map() {
         let mut drift = Drift::none();
         drift.go(Some(Variances::of(300.0, 0.1)));
-        let Some(Corrected::Pulled(pose)) = drift.correct(Pose::default(), &found(0.4, 0.0, 5.0))
+        let Some(Corrected::Pulled(pose)) =
+            drift.correct(Pose::default(), &found(0.4, 0.0, 5.0), 0.0)
         else {
             panic!()
         };

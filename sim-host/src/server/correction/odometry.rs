@@ -4,6 +4,7 @@ use nalgebra::UnitComplex;
 use ubimap_agent::locate::OdometryNoise;
 use ubimap_protocol::{
     message::DistanceVector,
+    time::Instant,
     units::{Angle, Millimetres, Pose},
 };
 
@@ -14,12 +15,15 @@ use crate::mapping::{
 
 /// Squared Mahalanobis distance beyond which robots reject a fix: one good fix in a thousand.
 pub(super) const GATE: f64 = 16.27;
-/// Squared Mahalanobis distance, without the deviations of the estimate, by which one may correct a pose: three deviations.
+/// Squared Mahalanobis distance within which a pose may be corrected: three deviations.
 const CORRECTABLE: f64 = 9.0;
 /// Deviation of the scale of a robot's turns before anything is known.
 const SCALE: f64 = 0.01;
 /// By how much (deviation) that scale may change while cameras see the robot, which then learns itself.
 const RELEARNT: f64 = 0.002;
+/// Beyond this distance (m), and this (m/s) times the time that has passed, no robot has driven between two vectors.
+const JUMP: f64 = 0.3;
+const FASTEST: f64 = 2.0;
 
 /// Variances of a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,9 +61,10 @@ impl Variances {
         (Millimetres(self.place.sqrt() as i32), Angle::from_radians(self.turn.sqrt().min(1.0)))
     }
 
-    /// Whether a correction is plausible: at most three deviations. `corrected` already combines the pose with a match.
-    pub(super) fn allow(self, pose: Pose, corrected: Pose) -> bool {
-        self.distance(pose, corrected, [0.0; 3]) <= CORRECTABLE
+    /// Whether another pose than the estimated one is plausible, whose own deviations of x, y (mm) and heading (rad) are
+    /// given: at most three deviations away.
+    pub(super) fn allow(self, pose: Pose, other: Pose, deviations: [f64; 3]) -> bool {
+        self.distance(pose, other, deviations) <= CORRECTABLE
     }
 
     /// The squared Mahalanobis distance from a pose to another estimate of it with these deviations.
@@ -102,13 +107,13 @@ fn off(pose: Pose, other: Pose) -> [f64; 3] {
 pub(super) struct Reported {
     /// In `map`: it contains the fixes that the robot has taken.
     pub(super) pose: Pose,
-    /// In `odom`.
-    odometry: Option<Pose>,
+    /// In `odom`, and when.
+    odometry: Option<(Instant, Pose)>,
 }
 
 impl Reported {
     pub(super) fn by(vector: &DistanceVector) -> Self {
-        Self { pose: vector.pose, odometry: vector.odometry }
+        Self { pose: vector.pose, odometry: vector.odometry.map(|pose| (vector.time, pose)) }
     }
 
     /// A robot that has told nothing since it was at this pose.
@@ -123,9 +128,14 @@ impl Reported {
 
     /// How the robot has moved until it sent another vector.
     pub(super) fn rolled_to(&self, next: &Self) -> Motion {
-        let odometry = self.odometry.zip(next.odometry);
-        let (from, to) = odometry.unwrap_or((self.pose, next.pose));
-        motion(from).inv_mul(&motion(to))
+        let between = |from, to| motion(from).inv_mul(&motion(to));
+        let odometry = self.odometry.zip(next.odometry).and_then(|((then, from), (now, to))| {
+            let rolled = between(from, to);
+            let seconds = now.since(then).micros() as f64 / 1e6;
+            // Odometry that has begun anew is no motion.
+            (rolled.translation.vector.norm() <= JUMP + FASTEST * seconds).then_some(rolled)
+        });
+        odometry.unwrap_or_else(|| between(self.pose, next.pose))
     }
 }
 
@@ -182,8 +192,9 @@ mod tests {
     #[test]
     fn a_fix_that_a_robot_has_taken_is_no_motion() {
         let at = |x: f64, y: f64, degrees: f64| Pose::from_metres(x, y, degrees.to_radians());
-        let before = Reported { pose: at(1.0, 1.0, 0.0), odometry: Some(at(-3.0, 0.0, 90.0)) };
-        let after = Reported { pose: at(2.0, 1.0, 20.0), odometry: Some(at(-3.0, 0.5, 95.0)) };
+        let odometry = |micros, y, degrees| Some((Instant(micros), at(-3.0, y, degrees)));
+        let before = Reported { pose: at(1.0, 1.0, 0.0), odometry: odometry(0, 0.0, 90.0) };
+        let after = Reported { pose: at(2.0, 1.0, 20.0), odometry: odometry(250_000, 0.5, 95.0) };
         let near = |it: Motion, x: f64, degrees: f64| {
             assert!((it.translation.vector - nalgebra::Vector2::new(x, 0.0)).norm() < 2e-3, "{it}");
             assert!((it.rotation.angle().to_degrees() - degrees).abs() < 0.02, "{it}");
@@ -195,6 +206,10 @@ mod tests {
         near(without.found(&fix).rolled_to(&after), 0.0, 0.0);
         near(Reported { odometry: None, ..before }.rolled_to(&after), 1.0, 20.0);
         near(before.rolled_to(&Reported { odometry: None, ..after }), 1.0, 20.0);
+        // It has begun anew; but half a second later it could be there.
+        let (soon, later) = (odometry(250_000, 1.2, 95.0), odometry(750_000, 1.2, 95.0));
+        near(before.rolled_to(&Reported { odometry: soon, ..after }), 1.0, 20.0);
+        near(before.rolled_to(&Reported { odometry: later, ..after }), 1.2, 5.0);
     }
 
     #[test]
@@ -209,7 +224,11 @@ mod tests {
             (at(-0.061, 0.0), false),
             (at(0.05, 2.0), false),
         ] {
-            assert_eq!(strayed.allow(at(0.0, 0.0), corrected), is_allowed, "{corrected:?}");
+            assert_eq!(
+                strayed.allow(at(0.0, 0.0), corrected, [0.0; 3]),
+                is_allowed,
+                "{corrected:?}"
+            );
         }
     }
 
