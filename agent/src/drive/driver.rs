@@ -159,6 +159,7 @@ impl<'b> Driver<'b> {
         self.task = task;
         self.goes_home = false;
         self.refused = None;
+        self.hindered = None;
         self.search.forget();
         self.safety.forgive();
         self.set_out();

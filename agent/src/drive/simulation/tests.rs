@@ -131,6 +131,23 @@ fn it_stops_before_a_door_that_closes_across_its_path() {
 }
 
 #[test]
+fn one_that_was_held_up_does_what_it_is_told_next() {
+    let mut it = Simulation::new(DOOR, 0.8, 1.2).with_map();
+    it.go(3.0, 1.2);
+    while it.at.0 < 1_650.0 {
+        it.step();
+    }
+    it.room = DrawnRoom::new(&DOOR.replace("#..................#", "#.........#........#"));
+    it.until(Reason::Person, 30.0);
+    it.driver.set_task(Task::Stand);
+    it.run(1.0);
+    it.told.clear();
+    it.driver.go_to_next(point(0.8, 1.2));
+    it.until(Reason::Arrived, 30.0);
+    assert_eq!(it.told, [Reason::Driving, Reason::Arrived]);
+}
+
+#[test]
 fn it_waits_for_people_who_cross_and_never_touches_them() {
     let (mut crossed, mut longest) = (0, 0.0f64);
     for is_told in [true, false] {
