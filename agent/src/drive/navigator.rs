@@ -256,7 +256,7 @@ fn squared_distance(from: Pose, x: Millimetres, y: Millimetres) -> i64 {
 type Found<'m> = (Option<TileId>, Option<&'m OwnTile>);
 
 /// The states of the 32 cells in a column of tiles and a row of cells. `trusts_own` says whether what only the robot has
-/// seen stand is in its way. `found` keeps the last tile: a coarse window reads four rows of each in a row.
+/// seen stand is in its way. `found` keeps the last tile: a coarse window reads up to four rows of a tile one after another.
 fn ground<'m>(
     surroundings: &Surroundings<'m, '_>,
     trusts_own: bool,

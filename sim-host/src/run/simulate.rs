@@ -56,6 +56,9 @@ use crate::{
 /// The side of the map's cells.
 pub const RESOLUTION: Millimetres = Millimetres(50);
 
+/// How far beyond the rectangle of a floor plan robots may go, in metres: so that one that has drifted is not held outside.
+const PLAN_MARGIN_M: f64 = 1.0;
+
 /// Runs a scenario.
 pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let started = time::Instant::now();
@@ -86,11 +89,12 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut memory: Vec<_> = configs.iter().map(|it| Memory::new(&it.bounds)).collect();
     let (keeper, life) = options.run.keeper(RESOLUTION)?;
     let mut config = deployed(options, &scenario, &world);
-    // Through a gap in its walls, robots would leave a plan, and explore the void. One that is too large for this has no
-    // such limits.
-    config.floor = plan
-        .as_ref()
-        .and_then(|plan| DrivableFloor::new(RESOLUTION, Some(&Area::extent_of(plan)), None).ok());
+    // Through gaps in its walls, robots would leave a plan, and explore the void.
+    config.floor = plan.as_ref().and_then(|plan| {
+        let area = Area::rectangle_of(plan, PLAN_MARGIN_M);
+        let floor = DrivableFloor::new(RESOLUTION, Some(&area), None);
+        floor.inspect_err(|error| log::warn!("robots may leave the map: it {error}")).ok()
+    });
     config.labels = labels::read(options.run.labels.as_deref())?;
     if !options.no_classes {
         config.labels.extend(scenario.labels()?);

@@ -109,9 +109,12 @@ impl DrivableFloor {
 }
 
 impl Area {
-    /// What a map covers, whatever its cells are.
-    pub fn extent_of(map: &OccupancyGrid) -> Self {
-        Self::Polygon(outline(map).into())
+    /// The rectangle of a map, whatever its cells are, with `margin_m` metres around it.
+    pub fn rectangle_of(map: &OccupancyGrid, margin_m: f64) -> Self {
+        let margin = margin_m / map.resolution_m();
+        let (width, height) = (map.width() as f64 + margin, map.height() as f64 + margin);
+        let corners = [[-margin, -margin], [width, -margin], [width, height], [-margin, height]];
+        Self::Polygon(corners.map(|corner| map.to_map(corner)).into())
     }
 
     fn contains(&self, corner: [f64; 2], side_m: f64) -> bool {
@@ -173,8 +176,8 @@ mod tests {
         assert!((-30..50).all(|column| {
             mask.allows(column, 7) == ((0..20).contains(&column) && column != 10)
         }));
-        let extent = floor(Some(&Area::extent_of(&plan)), None);
-        assert!((-30..50).all(|column| extent.allows(column, 7) == (0..20).contains(&column)));
+        let around = floor(Some(&Area::rectangle_of(&plan, 0.2)), None);
+        assert!((-30..50).all(|column| around.allows(column, 7) == (-4..24).contains(&column)));
         // Both together: the plan's walls go from any area.
         let half = Area::Polygon(vec![[0.4, 0.0], [2.0, 0.0], [2.0, 1.0], [0.4, 1.0]]);
         let both = floor(Some(&half), Some(&plan));

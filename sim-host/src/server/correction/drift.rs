@@ -26,7 +26,7 @@ pub(super) const FAR: (f64, f64) = (0.5, 0.2);
 ///
 /// Walls in blind ground were drawn by robots that had drifted themselves. If the robot's pose went to each match
 /// with them, its own walls would bend wherever it saw another's. So matches pull a pose that is followed, and move it
-/// only if two views of different walls agree that it is wrong.
+/// only if two views of different walls agree that it is wrong, and it can have drifted so far.
 #[derive(Debug)]
 pub(super) struct Drift {
     variances: Variances,

@@ -21,7 +21,8 @@ const CORRECTABLE: f64 = 9.0;
 const SCALE: f64 = 0.01;
 /// By how much (deviation) that scale may change while cameras see the robot, which then learns itself.
 const RELEARNT: f64 = 0.002;
-/// Beyond this distance (m), and this (m/s) times the time that has passed, no robot has driven between two vectors.
+/// A robot is assumed not to drive farther between two vectors than this distance (m), and this (m/s) times the time that
+/// has passed.
 const JUMP: f64 = 0.3;
 const FASTEST: f64 = 2.0;
 
