@@ -65,7 +65,7 @@ impl DrivableFloor {
                 return Err(AreaError::Corners(corners.len()));
             }
             (Some(Area::Polygon(corners)), _) => corners.clone(),
-            (Some(Area::FreeCells(grid)), _) | (None, Some(grid)) => outline(grid).into(),
+            (Some(Area::FreeCells(grid)), _) | (None, Some(grid)) => outline(grid, 0.0).into(),
             (None, None) => return Ok(floor),
         };
         let side_m = Millimetres(side.0.max(1)).metres();
@@ -111,10 +111,7 @@ impl DrivableFloor {
 impl Area {
     /// The rectangle of a map, whatever its cells are, with `margin_m` metres around it.
     pub fn rectangle_of(map: &OccupancyGrid, margin_m: f64) -> Self {
-        let margin = margin_m / map.resolution_m();
-        let (width, height) = (map.width() as f64 + margin, map.height() as f64 + margin);
-        let corners = [[-margin, -margin], [width, -margin], [width, height], [-margin, height]];
-        Self::Polygon(corners.map(|corner| map.to_map(corner)).into())
+        Self::Polygon(outline(map, margin_m).into())
     }
 
     fn contains(&self, corner: [f64; 2], side_m: f64) -> bool {
@@ -125,10 +122,12 @@ impl Area {
     }
 }
 
-/// The corners of a grid in `map`.
-fn outline(grid: &OccupancyGrid) -> [[f64; 2]; 4] {
-    let (width, height) = (grid.width() as f64, grid.height() as f64);
-    [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]].map(|corner| grid.to_map(corner))
+/// The corners of a grid in `map`, with `margin_m` metres around it.
+fn outline(grid: &OccupancyGrid, margin_m: f64) -> [[f64; 2]; 4] {
+    let margin = margin_m / grid.resolution_m();
+    let (width, height) = (grid.width() as f64 + margin, grid.height() as f64 + margin);
+    [[-margin, -margin], [width, -margin], [width, height], [-margin, height]]
+        .map(|corner| grid.to_map(corner))
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ pub(super) const FAR: (f64, f64) = (0.5, 0.2);
 ///
 /// Walls in blind ground were drawn by robots that had drifted themselves. If the robot's pose went to each match
 /// with them, its own walls would bend wherever it saw another's. So matches pull a pose that is followed, and move it
-/// only if two views of different walls agree that it is wrong, and it can have drifted so far.
+/// only if two views of different walls agree that it is wrong, and the correction is within three deviations of its drift.
 #[derive(Debug)]
 pub(super) struct Drift {
     variances: Variances,
@@ -89,7 +89,7 @@ impl Drift {
             return Some(Corrected::Pulled(pulled));
         }
         // Another robot may have drawn this as far off, so the trajectories decide. Beyond that the robot may be lost, if
-        // it can have drifted so far.
+        // its drift explains the distance.
         let is_near = is_within(&motion(found.pose).inv_mul(&motion(pose)), FAR);
         let place = self.place(way);
         let drifted = Variances { place, ..self.variances };
