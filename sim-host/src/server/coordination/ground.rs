@@ -44,6 +44,8 @@ pub(super) struct Ground {
     /// ground) and to the nearest movable cell.
     walls: Vec<u32>,
     movable: Vec<u32>,
+    /// Squared distances in cells to the floor that robots may use; empty if they may use all of it.
+    floor: Vec<u32>,
 }
 
 impl Ground {
@@ -63,8 +65,10 @@ impl Ground {
         for id in extent.tiles() {
             ground.draw(id, fused, coverage);
         }
-        let barred = floor.map(|floor| ground.bar(&extent, floor)).unwrap_or_default();
-        ground.measure(trodden, &barred, settings);
+        if let Some(floor) = floor {
+            ground.bar(&extent, floor);
+        }
+        ground.measure(trodden, settings);
         Some(ground)
     }
 
@@ -83,6 +87,7 @@ impl Ground {
             trusted: Vec::new(),
             walls: Vec::new(),
             movable: Vec::new(),
+            floor: Vec::new(),
         }
     }
 
@@ -111,24 +116,24 @@ impl Ground {
         }
     }
 
-    /// The cells that robots may not use. Nothing is to be found there, so they are not blind.
-    fn bar(&mut self, extent: &Extent, floor: &DrivableFloor) -> Vec<bool> {
-        let mut barred = vec![false; self.len()];
+    /// Bars the cells that robots may not use. Nothing is to be found there, so they are not blind.
+    fn bar(&mut self, extent: &Extent, floor: &DrivableFloor) {
+        let mut is_floor = vec![true; self.len()];
         for id in extent.tiles() {
             let corner = self.corner(id);
             for (y, open) in floor.rows(id).into_iter().enumerate() {
                 for x in (0..TILE_SIDE).filter(|x| open >> x & 1 == 0) {
                     let at = corner + y * self.width + x;
-                    (barred[at], self.blind[at]) = (true, false);
+                    (is_floor[at], self.blind[at]) = (false, false);
                 }
             }
         }
-        barred
+        self.floor = squared_distances(&is_floor, self.width);
     }
 
     /// Computes the distances to walls and to movable cells. Unknown cells more than `edge_cells`
     /// from free ones count as walls.
-    fn measure(&mut self, trodden: &[Disc], barred: &[bool], settings: &Settings) {
+    fn measure(&mut self, trodden: &[Disc], settings: &Settings) {
         let (clearances, edge_cells) = (settings.clearances, settings.survey.edge_cells);
         let is_free: Vec<bool> = self.cells.iter().map(|it| *it == Cell::Free).collect();
         let is_wall = |(cell, to_free)| match cell {
@@ -147,8 +152,8 @@ impl Ground {
             // Others have drawn its outline there while they did not know where it stands.
             self.within(&disc.grown(self.side_m), |at| is_wall[at] = false);
         }
-        for (is_wall, is_barred) in is_wall.iter_mut().zip(barred) {
-            *is_wall |= is_barred;
+        for (is_wall, to_floor) in is_wall.iter_mut().zip(&self.floor) {
+            *is_wall |= *to_floor > 0;
         }
         // The border stays impassable, so that searches need no bounds check.
         for (at, is_wall) in is_wall.iter_mut().enumerate() {
@@ -205,6 +210,11 @@ impl Ground {
     /// Squared distance, in cells, to the nearest wall or cell deep in unknown ground.
     pub(super) fn to_wall(&self, at: usize) -> u32 {
         self.walls[at]
+    }
+
+    /// Squared distance, in cells, to the floor that robots may use.
+    pub(super) fn to_floor(&self, at: usize) -> u32 {
+        self.floor.get(at).copied().unwrap_or(0)
     }
 
     /// Squared distance, in cells, to the nearest movable cell.

@@ -174,11 +174,17 @@ impl<'a> Terrain<'a> {
     }
 
     /// Cost factor of a step from the cell `at` to `next`; `None` if it is not allowed. On ground
-    /// with too little clearance, a robot may only move towards more clearance.
+    /// with too little clearance, a robot may only move towards more clearance; off the floor that robots may
+    /// use, only towards it.
     fn weight_of_step(&self, at: usize, next: usize) -> Option<u32> {
-        match *self.weights.get(next)? {
-            SHUT if self.weights[at] == SHUT => {
-                (self.ground.to_wall(next) > self.ground.to_wall(at)).then_some(LEAVING)
+        let Self { ground, weights, .. } = self;
+        match *weights.get(next)? {
+            SHUT if weights[at] == SHUT => {
+                let leaves = match (ground.to_floor(at), ground.to_floor(next)) {
+                    (0, 0) => ground.to_wall(next) > ground.to_wall(at),
+                    (from, to) => to < from,
+                };
+                leaves.then_some(LEAVING)
             }
             SHUT => None,
             weight => Some(u32::from(weight)),

@@ -36,6 +36,15 @@ fn a_goal_outside_is_refused_and_one_inside_is_reached() {
     assert!(floor.run(60, |floor| floor.count(Notice::Reached) > 0));
 }
 
+#[test]
+fn a_robot_that_stands_outside_of_its_floor_comes_back() {
+    let mut floor = Floor::new(Plan::room(8.0, 5.0), &[Point::new(7.0, 2.0)], 4, |_| false);
+    floor.coordinator.keep_to(western_part());
+    floor.run(2, |_| false);
+    floor.coordinator.goal(id(0), 2.0, 4.0, floor.now).unwrap();
+    assert!(floor.run(60, |floor| floor.count(Notice::Reached) > 0));
+}
+
 /// Nothing is known of the hall at first. The robots map their part of it, never leave it, and do not try
 /// to look at the rest for ever.
 #[test]
