@@ -76,6 +76,7 @@ impl Dispatch {
 
     /// Passes on an event that a robot reported.
     pub(super) fn event(&mut self, robot: RobotId, code: EventCode, now: Instant) {
+        log::debug!("{} s: robot {} reports {code:?}", seconds(now), robot.0);
         self.coordinator.event(robot, code, now);
     }
 
@@ -113,12 +114,23 @@ impl Dispatch {
     }
 
     /// The next command for a robot.
-    pub(super) fn poll_command(&mut self) -> Option<(RobotId, Command)> {
-        self.coordinator.poll_command()
+    pub(super) fn poll_command(&mut self, now: Instant) -> Option<(RobotId, Command)> {
+        let command = self.coordinator.poll_command();
+        if let Some((robot, Command::Path(path))) = &command {
+            let to = path.waypoints.last().map(|it| [it.x.metres(), it.y.metres()]);
+            let errand = self.errand(*robot);
+            log::debug!("{} s: robot {} gets a path to {to:?}: {errand:?}", seconds(now), robot.0);
+        }
+        command
     }
 
     /// The next notice about a robot's drive.
     pub(super) fn poll_notice(&mut self) -> Option<(RobotId, Notice)> {
         self.coordinator.poll_notice()
     }
+}
+
+/// For messages.
+fn seconds(now: Instant) -> f64 {
+    now.micros() as f64 / 1e6
 }

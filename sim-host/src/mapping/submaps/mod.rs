@@ -37,7 +37,7 @@ pub use {
     correlation::{Candidate, Pyramid, Window},
     drawing::draw,
     graph_mapper::{GraphCounts, GraphMapper},
-    pose_graph::{Absolute, Edge, PoseGraph},
+    pose_graph::{Absolute, Edge, Iteration, PoseGraph},
     refinement::{Refined, refine},
     rigid::{Motion, is_within, motion, pose, turned},
     submap::Submap,

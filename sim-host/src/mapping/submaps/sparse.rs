@@ -16,6 +16,15 @@ pub(super) struct System {
 /// The blocks of a row beside the diagonal, by column.
 type Row = Vec<(usize, Matrix3<f64>)>;
 
+/// An elimination, which can be done in parts.
+#[derive(Clone, Debug)]
+pub(super) struct Elimination {
+    system: System,
+    /// The degrees and numbers of the rows that are left.
+    left: BTreeSet<(usize, usize)>,
+    steps: Vec<(usize, Matrix3<f64>, Row)>,
+}
+
 /// A factored system.
 #[derive(Clone, Debug)]
 pub(super) struct Factored {
@@ -40,32 +49,54 @@ impl System {
     }
 
     /// Factors the matrix. `None` if it is singular.
-    pub(super) fn factored(mut self) -> Option<Factored> {
-        let size = self.diagonal.len();
-        let mut left: BTreeSet<(usize, usize)> =
-            (0..size).map(|row| (self.rows[row].len(), row)).collect();
-        let mut steps = Vec::with_capacity(size);
-        while let Some((_, pivot)) = left.pop_first() {
-            let inverse = self.diagonal[pivot].try_inverse()?;
-            let others: Row = core::mem::take(&mut self.rows[pivot]).into_iter().collect();
+    pub(super) fn factored(self) -> Option<Factored> {
+        let mut elimination = Elimination::new(self);
+        elimination.go_on(usize::MAX)?;
+        Some(elimination.factored())
+    }
+}
+
+impl Elimination {
+    /// Nothing is eliminated yet.
+    pub(super) fn new(system: System) -> Self {
+        let left =
+            system.rows.iter().enumerate().map(|(row, blocks)| (blocks.len(), row)).collect();
+        Self { steps: Vec::with_capacity(system.diagonal.len()), left, system }
+    }
+
+    /// Eliminates rows until all are, or about `blocks` blocks have changed. Returns whether all are; `None` if
+    /// the matrix is singular. Cost: some 0.3 microseconds a block.
+    pub(super) fn go_on(&mut self, blocks: usize) -> Option<bool> {
+        let Self { system: System { rows, diagonal }, left, steps } = self;
+        let mut changed = 0;
+        while changed < blocks
+            && let Some((_, pivot)) = left.pop_first()
+        {
+            let inverse = diagonal[pivot].try_inverse()?;
+            let others: Row = core::mem::take(&mut rows[pivot]).into_iter().collect();
             for (row, _) in &others {
-                left.remove(&(self.rows[*row].len(), *row));
-                self.rows[*row].remove(&pivot);
+                left.remove(&(rows[*row].len(), *row));
+                rows[*row].remove(&pivot);
             }
             for (index, (row, block)) in others.iter().enumerate() {
                 let scaled = block.transpose() * inverse;
-                self.diagonal[*row] -= scaled * block;
+                diagonal[*row] -= scaled * block;
                 for (column, other) in &others[index + 1..] {
                     let fill = -(scaled * other);
-                    *self.rows[*row].entry(*column).or_insert_with(Matrix3::zeros) += fill;
-                    *self.rows[*column].entry(*row).or_insert_with(Matrix3::zeros) +=
-                        fill.transpose();
+                    *rows[*row].entry(*column).or_insert_with(Matrix3::zeros) += fill;
+                    *rows[*column].entry(*row).or_insert_with(Matrix3::zeros) += fill.transpose();
                 }
             }
-            left.extend(others.iter().map(|(row, _)| (self.rows[*row].len(), *row)));
+            left.extend(others.iter().map(|(row, _)| (rows[*row].len(), *row)));
+            changed += 1 + others.len() * others.len();
             steps.push((pivot, inverse, others));
         }
-        Some(Factored { steps })
+        Some(left.is_empty())
+    }
+
+    /// The factored system, once all rows are eliminated.
+    pub(super) fn factored(self) -> Factored {
+        Factored { steps: self.steps }
     }
 }
 
@@ -103,6 +134,7 @@ mod tests {
             size in 1usize..9,
             edges in proptest::collection::vec((0usize..9, 0usize..9, any::<[i8; 9]>()), 0..20),
             right in proptest::collection::vec(any::<[i8; 3]>(), 9),
+            blocks in 1usize..20,
         ) {
             let mut system = System::new(size);
             let mut dense = DMatrix::<f64>::identity(3 * size, 3 * size);
@@ -130,7 +162,10 @@ mod tests {
                 right[..size].iter().map(|it| Vector3::from(it.map(f64::from))).collect();
             let flat = DVector::from_iterator(3 * size, right.iter().flat_map(|it| it.iter().copied()));
             let expected = dense.lu().solve(&flat).unwrap();
-            let found = system.factored().unwrap().solve(right);
+            let found = system.clone().factored().unwrap().solve(right.clone());
+            let mut elimination = Elimination::new(system);
+            while !elimination.go_on(blocks).unwrap() {}
+            prop_assert_eq!(&elimination.factored().solve(right), &found, "in parts");
             for (row, value) in found.iter().flat_map(|it| it.iter()).enumerate() {
                 prop_assert!((value - expected[row]).abs() < 1e-6 * (1.0 + expected.amax()));
             }

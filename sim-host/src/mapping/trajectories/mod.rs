@@ -22,7 +22,9 @@ use ubimap_protocol::units::{Millimetres, Pose, RobotId};
 use self::{overlaps::Overlaps, piece::Piece};
 use super::{
     placed_layer::{Correction, Placement},
-    submaps::{self, Absolute, Edge, Motion, PoseGraph, View, is_within, refine, turned},
+    submaps::{
+        self, Absolute, Edge, Iteration, Motion, PoseGraph, View, is_within, refine, turned,
+    },
 };
 
 pub use step::Step;
@@ -36,7 +38,7 @@ const STOOD: (f64, f64) = (0.03, 0.05);
 const APART: usize = 3;
 /// Maximum number of others that a piece is matched with: those that share most of its ground.
 const MATCHED: usize = 12;
-/// Number of earlier pieces that are matched again whenever a piece is matched.
+/// Number of earlier pieces that are matched again whenever a piece is complete.
 const AGAIN: usize = 2;
 /// Minimum number of squares that two pieces share.
 const LEAST_SHARED: usize = 3;
@@ -57,8 +59,8 @@ const SEEN: [f64; 3] = [0.02, 0.02, 0.01];
 const FIRST: [f64; 3] = [0.1, 0.1, 0.05];
 /// Distance and turn within which a piece is still where it was found.
 const FOUND: (f64, f64) = (0.1, 0.05);
-/// Iterations of the graph each time; it is solved again and again, from where it was.
-const ITERATIONS: usize = 1;
+/// Number of blocks of the graph's matrix that are worked on at a time: some 10 ms.
+const BLOCKS: usize = 30_000;
 
 /// All robots' trajectories.
 #[derive(Debug, Default)]
@@ -80,7 +82,11 @@ pub struct Trajectories {
     next: usize,
     /// What settled pieces say of the others, while they are settled.
     held: Vec<Absolute>,
-    /// Whether anything was added since the graph was solved.
+    /// Number of pieces that are still to be matched again.
+    again: usize,
+    /// The iteration of the graph that has begun. One is enough each time, since it goes on from where it was.
+    solving: Option<Iteration>,
+    /// Whether anything was added since the last iteration began.
     is_unsolved: bool,
     has_settled: bool,
 }
@@ -206,27 +212,35 @@ impl Trajectories {
         self.is_unsolved = true;
     }
 
-    /// Matches a piece that is complete, if there is one, and some of the others again. Cost: some milliseconds.
+    /// Matches a piece that is complete, or one of the others again, if [there is something to
+    /// match](Self::is_matching). Cost: some milliseconds.
     pub fn advance(&mut self) {
-        let Some(piece) = self.waiting.pop_front() else { return };
-        self.is_unsolved = true;
-        self.relate(piece);
-        for _ in 0..AGAIN {
+        if self.again > 0 {
+            self.again -= 1;
             self.next = (self.next + 1) % self.pieces.len();
             if self.overlaps.placed(self.next).is_some() {
                 self.relate(self.next);
             }
+        } else if let Some(piece) = self.waiting.pop_front() {
+            self.again = AGAIN;
+            self.is_unsolved = true;
+            self.relate(piece);
         }
     }
 
     /// Whether [`Self::advance`] has something to match.
     pub fn is_matching(&self) -> bool {
-        !self.waiting.is_empty()
+        !self.waiting.is_empty() || self.again > 0
     }
 
-    /// Whether [`Self::solve`] may move something.
+    /// Whether [`Self::solve`] has something to solve.
     pub fn is_unsolved(&self) -> bool {
-        self.is_unsolved
+        self.is_unsolved || self.solving.is_some()
+    }
+
+    /// Whether [`Self::solve`] has begun, and has to go on.
+    pub fn is_solving(&self) -> bool {
+        self.solving.is_some()
     }
 
     /// Matches a piece with those that saw the same ground. One whose pose cameras saw is as good as it gets; it holds
@@ -278,19 +292,33 @@ impl Trajectories {
         self.overlaps.place(number, &self.pieces[number].cloud, &pose);
     }
 
-    /// Solves the graph, and settles the oldest pieces if there are too many. Returns the robots
-    /// whose [placement](Self::placement) has changed. Cost: 10 to 60 ms for 1,500 pieces in rooms,
-    /// 170 ms where most of them see the same ground.
+    /// Solves the graph in parts. The first one settles the oldest pieces, if there are too many; the last one returns
+    /// the robots whose [placement](Self::placement) has changed. Cost: some 10 ms.
     pub fn solve(&mut self, resolution: Millimetres) -> BTreeSet<RobotId> {
-        let mut moved = BTreeSet::new();
-        if !core::mem::take(&mut self.is_unsolved) {
-            return moved;
+        let Some(mut iteration) = self.solving.take() else {
+            if core::mem::take(&mut self.is_unsolved) {
+                self.settle();
+                self.graph.edges.clear();
+                self.graph.edges.extend(self.steps.iter().cloned());
+                self.graph.edges.extend(self.matches.iter().flatten().cloned());
+                self.solving = Some(self.graph.begin());
+            }
+            return BTreeSet::new();
+        };
+        match iteration.go_on(BLOCKS) {
+            Some(true) => {
+                self.graph.step(iteration);
+                return self.put(resolution);
+            }
+            Some(false) => self.solving = Some(iteration),
+            None => {}
         }
-        self.settle();
-        self.graph.edges.clear();
-        self.graph.edges.extend(self.steps.iter().cloned());
-        self.graph.edges.extend(self.matches.iter().flatten().cloned());
-        self.graph.improve(ITERATIONS);
+        BTreeSet::new()
+    }
+
+    /// Takes over where the pieces are now. Returns the robots of those that have moved.
+    fn put(&mut self, resolution: Millimetres) -> BTreeSet<RobotId> {
+        let mut moved = BTreeSet::new();
         for number in 0..self.pieces.len() {
             let pose = self.graph.poses[number];
             let found = self.overlaps.placed(number);

@@ -55,7 +55,7 @@ impl Trajectories {
         self.placed.drain(..AT_ONCE);
         self.graph.poses.drain(..AT_ONCE);
         self.waiting = self.waiting.iter().filter_map(|it| it.checked_sub(AT_ONCE)).collect();
-        self.next = 0;
+        (self.next, self.again) = (0, 0);
         self.has_settled = true;
         let placed: Vec<usize> = (0..self.pieces.len())
             .filter(|it| self.overlaps.placed(it + AT_ONCE).is_some())

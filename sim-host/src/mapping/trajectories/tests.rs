@@ -60,6 +60,19 @@ fn view(walls: &[[f64; 4]], truth: &Motion, reported: &Motion, second: u64) -> V
     })
 }
 
+fn match_all(all: &mut Trajectories) {
+    while all.is_matching() {
+        all.advance();
+    }
+}
+
+fn solve(all: &mut Trajectories) {
+    all.solve(Millimetres(50));
+    while all.is_solving() {
+        all.solve(Millimetres(50));
+    }
+}
+
 /// A robot's way around the block: motions of a second each, in metres and degrees.
 fn round() -> Vec<(f64, f64)> {
     let side = |length: usize| (0..length).map(|_| (0.25, 0.0)).chain((0..6).map(|_| (0.0, 15.0)));
@@ -80,9 +93,9 @@ fn driven(rounds: usize) -> (Trajectories, Vec<(u64, Motion, Motion)>) {
             .filter(|_| second >= 3)
             .map(|by| Step::new(by, [0.02, 0.02], Some([0.01, 0.01, 0.01])));
         all.add(robot, &view(&walls, &truth, &reported, second), reported, step, seen);
-        all.advance();
+        match_all(&mut all);
         if second % 2 == 0 {
-            all.solve(Millimetres(50));
+            solve(&mut all);
         }
         poses.push((second, truth, reported));
         let turned = turn.to_radians();
@@ -119,8 +132,8 @@ fn where_nothing_is_wrong_nothing_moves() {
     let (walls, mut truth, mut all) = (walls(), Motion::identity(), Trajectories::default());
     for (second, (way, turn)) in (0u64..).zip(round()) {
         all.add(RobotId(3), &view(&walls, &truth, &truth, second), truth, None, Some(truth));
-        all.advance();
-        all.solve(Millimetres(50));
+        match_all(&mut all);
+        solve(&mut all);
         truth *= Motion::new(Vector2::new(way, 0.0), turn.to_radians());
     }
     let moved: Vec<Correction> = all.placement(RobotId(3)).corrections;
@@ -157,7 +170,7 @@ fn settled_pieces_stay_where_they_are() {
         let at = there * Motion::translation(if second % 2 == 0 { 0.0 } else { 0.1 }, 0.0);
         all.add(robot, &view(&walls, &at, &at, second), at, None, None);
         if second % 64 == 0 {
-            all.solve(Millimetres(50));
+            solve(&mut all);
         }
         second += 1;
     }

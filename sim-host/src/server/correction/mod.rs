@@ -10,7 +10,7 @@ mod drift;
 mod odometry;
 mod robot;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use ubimap_protocol::{
     tile::Epoch,
@@ -25,8 +25,8 @@ use self::{
 use super::{command::Command, session::Session, shared_map::SharedMap, surroundings::Place};
 use crate::mapping::{ConstantErrors, CureRecord, Placement, trajectories::Trajectories};
 
-/// Interval at which the map follows what is known of the robots' trajectories.
-const PLACING_INTERVAL: Duration = Duration::from_secs(1);
+/// Interval at which the robots' trajectories are solved.
+const SOLVING_INTERVAL: Duration = Duration::from_secs(1);
 
 /// The corrections of all robots.
 #[derive(Debug, Default)]
@@ -37,8 +37,11 @@ pub(super) struct Corrections {
     /// Whether the corrections are turned off, for comparisons.
     are_off: bool,
     trajectories: Trajectories,
-    /// When the map next follows the trajectories.
-    next_placing: Instant,
+    /// When the trajectories are next solved.
+    next_solving: Instant,
+    /// The robots that the map does not follow yet, and those of whose corrections some may be needed no longer.
+    unplaced: BTreeSet<RobotId>,
+    unthinned: BTreeSet<RobotId>,
 }
 
 impl Corrections {
@@ -122,20 +125,22 @@ impl Corrections {
         }
     }
 
-    /// Finds out where the robots were, and moves what they have drawn. Cost: once a second that of
-    /// [`Trajectories::solve`] and some 10 ms, otherwise some milliseconds.
+    /// Finds out where the robots were, and moves what they have drawn, in parts of some 10 ms.
     pub(super) fn follow(&mut self, map: &mut SharedMap, resolution: Millimetres, now: Instant) {
-        self.trajectories.advance();
-        if now < self.next_placing {
-            return;
-        }
-        self.next_placing = now + PLACING_INTERVAL;
-        for moved in self.trajectories.solve(resolution) {
-            map.place(moved, self.trajectories.placement(moved), resolution);
-        }
-        if self.trajectories.take_settled() {
-            for robot in self.robots.keys() {
-                self.trajectories.thin(*robot, &map.seconds(*robot));
+        let Self { trajectories, .. } = self;
+        if let Some(moved) = self.unplaced.pop_first() {
+            map.place(moved, trajectories.placement(moved), resolution);
+        } else if let Some(robot) = self.unthinned.pop_first() {
+            trajectories.thin(robot, &map.seconds(robot));
+        } else if trajectories.is_matching() && !trajectories.is_solving() {
+            trajectories.advance();
+        } else if trajectories.is_solving() || self.next_solving <= now {
+            if !trajectories.is_solving() {
+                self.next_solving = now + SOLVING_INTERVAL;
+            }
+            self.unplaced = trajectories.solve(resolution);
+            if trajectories.take_settled() {
+                self.unthinned = self.robots.keys().copied().collect();
             }
         }
     }
@@ -148,9 +153,11 @@ impl Corrections {
 
     /// The deadline for the next call of [`Corrections::follow`]; `None` if what robots have drawn is where it belongs.
     pub(super) fn poll_follow(&self, now: Instant) -> Option<Instant> {
-        let matching = self.trajectories.is_matching().then_some(now);
-        let solving = self.trajectories.is_unsolved().then_some(self.next_placing);
-        matching.into_iter().chain(solving).min()
+        let Self { trajectories, unplaced, unthinned, .. } = self;
+        let is_busy = trajectories.is_matching() || trajectories.is_solving();
+        let is_due = is_busy || !unplaced.is_empty() || !unthinned.is_empty();
+        let solving = trajectories.is_unsolved().then_some(self.next_solving);
+        is_due.then_some(now).into_iter().chain(solving).min()
     }
 
     /// Queues the robot's newest distance vector for processing, and advances its cure, unless
