@@ -6,7 +6,7 @@
 //! believed in then; where the graph puts the pieces now is where that belongs
 //! ([`PlacedLayer`](super::PlacedLayer)).
 //!
-//! The newest 1,500 pieces can move; the corrections of older ones are settled. Units are metres and radians.
+//! The newest 4,000 pieces can move; the corrections of older ones are settled. Units are metres and radians.
 //! Deterministic.
 
 mod overlaps;
@@ -60,7 +60,7 @@ const FIRST: [f64; 3] = [0.1, 0.1, 0.05];
 /// Distance and turn within which a piece is still where it was found.
 const FOUND: (f64, f64) = (0.1, 0.05);
 /// Number of blocks of the graph's matrix that are worked on at a time: some 10 ms.
-const BLOCKS: usize = 30_000;
+const BLOCKS: usize = 20_000;
 
 /// All robots' trajectories.
 #[derive(Debug, Default)]

@@ -7,8 +7,8 @@ use ubimap_protocol::units::RobotId;
 use super::{Overlaps, Trajectories};
 use crate::mapping::submaps::{Absolute, Edge, turned};
 
-/// Maximum number of pieces that can move; 8 robots make as many in 6 minutes.
-const MOST: usize = 1_500;
+/// Maximum number of pieces that can move; 8 robots make as many in 15 minutes.
+const MOST: usize = 4_000;
 /// Number of pieces that are settled at once.
 const AT_ONCE: usize = 200;
 
