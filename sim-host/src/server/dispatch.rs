@@ -2,7 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use ubimap_protocol::{message::EventCode, time::Instant, units::RobotId};
+use ubimap_protocol::{
+    message::{EventCode, Waypoint},
+    time::Instant,
+    units::RobotId,
+};
 
 use super::{
     command::Command,
@@ -76,7 +80,6 @@ impl Dispatch {
 
     /// Passes on an event that a robot reported.
     pub(super) fn event(&mut self, robot: RobotId, code: EventCode, now: Instant) {
-        log::debug!("{} s: robot {} reports {code:?}", seconds(now), robot.0);
         self.coordinator.event(robot, code, now);
     }
 
@@ -114,12 +117,18 @@ impl Dispatch {
     }
 
     /// The next command for a robot.
-    pub(super) fn poll_command(&mut self, now: Instant) -> Option<(RobotId, Command)> {
+    pub(super) fn poll_command(&mut self) -> Option<(RobotId, Command)> {
         let command = self.coordinator.poll_command();
         if let Some((robot, Command::Path(path))) = &command {
-            let to = path.waypoints.last().map(|it| [it.x.metres(), it.y.metres()]);
-            let errand = self.errand(*robot);
-            log::debug!("{} s: robot {} gets a path to {to:?}: {errand:?}", seconds(now), robot.0);
+            match (path.waypoints.last(), self.errand(*robot)) {
+                (Some(Waypoint { x, y }), Some(errand)) => log::debug!(
+                    "robot {} gets a path to {:.2} m, {:.2} m: it {errand}",
+                    robot.0,
+                    x.metres(),
+                    y.metres()
+                ),
+                _ => log::debug!("robot {} is to stand", robot.0),
+            }
         }
         command
     }
@@ -128,9 +137,4 @@ impl Dispatch {
     pub(super) fn poll_notice(&mut self) -> Option<(RobotId, Notice)> {
         self.coordinator.poll_notice()
     }
-}
-
-/// For messages.
-fn seconds(now: Instant) -> f64 {
-    now.micros() as f64 / 1e6
 }

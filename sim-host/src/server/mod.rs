@@ -468,7 +468,7 @@ impl Server {
             while let Some((robot, notice)) = dispatch.poll_notice() {
                 self.events.add(now, Event::Drive(robot, notice));
             }
-            while let Some((robot, command)) = dispatch.poll_command(now) {
+            while let Some((robot, command)) = dispatch.poll_command() {
                 if let Err(error) = self.command(robot, command) {
                     // The coordinator sends the command again when the robot is back.
                     log::debug!("{error}");

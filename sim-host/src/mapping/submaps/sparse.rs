@@ -96,6 +96,7 @@ impl Elimination {
 
     /// The factored system, once all rows are eliminated.
     pub(super) fn factored(self) -> Factored {
+        debug_assert!(self.left.is_empty(), "rows are left");
         Factored { steps: self.steps }
     }
 }

@@ -49,6 +49,8 @@ pub(super) struct Piece {
     pub(super) is_closed: bool,
     /// Whether the map has it.
     pub(super) is_in_map: bool,
+    /// Whether `ground` is where the piece is.
+    pub(super) is_put: bool,
 }
 
 impl Piece {
@@ -63,6 +65,7 @@ impl Piece {
             is_seen,
             is_closed: false,
             is_in_map: false,
+            is_put: true,
         };
         piece.add(view, Motion::identity(), is_seen);
         piece
@@ -96,8 +99,11 @@ impl Piece {
         self.ground.clear();
     }
 
-    /// Takes over where the piece is in the map.
+    /// Takes over where the piece is in the map, if that is not done yet.
     pub(super) fn put(&mut self, pose: &Motion, resolution: Millimetres) {
+        if core::mem::replace(&mut self.is_put, true) {
+            return;
+        }
         self.ground.clear();
         for triangle in &self.free {
             let corners = triangle.map(|it| (pose * it) / resolution.metres());

@@ -14,10 +14,11 @@ const AT_ONCE: usize = 200;
 
 impl Trajectories {
     /// Settles the oldest pieces, if there are too many: what they say of the map stays as it is,
-    /// and what they say of the others becomes a measurement of these.
-    pub(super) fn settle(&mut self) {
+    /// and what they say of the others becomes a measurement of these. Returns whether there were. Their ground must be
+    /// [where they are](Self::placement).
+    pub(super) fn settle(&mut self) -> bool {
         if self.pieces.len() < MOST {
-            return;
+            return false;
         }
         for robot in self.robots.keys().copied().collect::<Vec<_>>() {
             let Some(trajectory) = self.robots.get(&robot) else { continue };
@@ -62,6 +63,7 @@ impl Trajectories {
             .collect();
         self.overlaps = Overlaps::default();
         placed.into_iter().for_each(|it| self.find(it));
+        true
     }
 
     /// Whether pieces were settled since the last call.

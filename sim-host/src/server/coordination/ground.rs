@@ -44,7 +44,8 @@ pub(super) struct Ground {
     /// ground) and to the nearest movable cell.
     walls: Vec<u32>,
     movable: Vec<u32>,
-    /// Squared distances in cells to the floor that robots may use; empty if they may use all of it.
+    /// Squared distances in cells to the floor that robots may use, and the greatest number in walls; empty if robots may
+    /// use all of it.
     floor: Vec<u32>,
 }
 
@@ -152,12 +153,15 @@ impl Ground {
             // Others have drawn its outline there while they did not know where it stands.
             self.within(&disc.grown(self.side_m), |at| is_wall[at] = false);
         }
-        for (is_wall, to_floor) in is_wall.iter_mut().zip(&self.floor) {
-            *is_wall |= *to_floor > 0;
-        }
         // The border stays impassable, so that searches need no bounds check.
         for (at, is_wall) in is_wall.iter_mut().enumerate() {
             *is_wall |= self.is_border(at);
+        }
+        for (is_wall, to_floor) in is_wall.iter_mut().zip(&mut self.floor) {
+            match *is_wall {
+                true => *to_floor = u32::MAX,
+                false => *is_wall = *to_floor > 0,
+            }
         }
         let is_movable: Vec<bool> = self.cells.iter().map(|it| *it == Cell::Movable).collect();
         self.trusted = trusted;
@@ -212,7 +216,7 @@ impl Ground {
         self.walls[at]
     }
 
-    /// Squared distance, in cells, to the floor that robots may use.
+    /// Squared distance, in cells, to the floor that robots may use; the greatest number in a wall.
     pub(super) fn to_floor(&self, at: usize) -> u32 {
         self.floor.get(at).copied().unwrap_or(0)
     }

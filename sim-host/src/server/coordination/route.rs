@@ -232,8 +232,12 @@ pub(super) struct Ways<'a> {
 }
 
 impl Ways<'_> {
-    /// The cost of the route to a cell, as metres of open ground. `None` if it is unreachable.
+    /// The cost of the route to a cell, as metres of open ground. `None` if it is unreachable, or not on the floor that
+    /// robots may use.
     pub(super) fn metres(&self, at: usize) -> Option<f64> {
+        if self.terrain.ground.to_floor(at) > 0 {
+            return None;
+        }
         let cost = *self.costs.get(at).filter(|cost| **cost < u32::MAX)?;
         Some(
             f64::from(cost) * self.terrain.ground.side_m() / f64::from(u32::from(ROOMY) * STRAIGHT),

@@ -128,17 +128,19 @@ impl Corrections {
     /// Finds out where the robots were, and moves what they have drawn, in parts of some 10 ms.
     pub(super) fn follow(&mut self, map: &mut SharedMap, resolution: Millimetres, now: Instant) {
         let Self { trajectories, .. } = self;
+        // With more to match than there is time for, the rest goes on nevertheless.
+        let is_overdue = self.next_solving + SOLVING_INTERVAL <= now;
         if let Some(moved) = self.unplaced.pop_first() {
-            map.place(moved, trajectories.placement(moved), resolution);
+            map.place(moved, trajectories.placement(moved, resolution), resolution);
         } else if let Some(robot) = self.unthinned.pop_first() {
             trajectories.thin(robot, &map.seconds(robot));
-        } else if trajectories.is_matching() && !trajectories.is_solving() {
+        } else if trajectories.is_matching() && !trajectories.is_solving() && !is_overdue {
             trajectories.advance();
         } else if trajectories.is_solving() || self.next_solving <= now {
+            self.unplaced = trajectories.solve();
             if !trajectories.is_solving() {
                 self.next_solving = now + SOLVING_INTERVAL;
             }
-            self.unplaced = trajectories.solve(resolution);
             if trajectories.take_settled() {
                 self.unthinned = self.robots.keys().copied().collect();
             }
@@ -148,7 +150,7 @@ impl Corrections {
     /// A robot's tiles were voided, because its pose or its sensor's was wrong: so is the ground that it saw.
     pub(super) fn void(&mut self, robot: RobotId, map: &mut SharedMap, resolution: Millimetres) {
         self.trajectories.void_ground(robot);
-        map.place(robot, self.trajectories.placement(robot), resolution);
+        map.place(robot, self.trajectories.placement(robot, resolution), resolution);
     }
 
     /// The deadline for the next call of [`Corrections::follow`]; `None` if what robots have drawn is where it belongs.

@@ -45,6 +45,18 @@ fn a_robot_that_stands_outside_of_its_floor_comes_back() {
     assert!(floor.run(60, |floor| floor.count(Notice::Reached) > 0));
 }
 
+/// A wall is between the robot and its floor.
+#[test]
+fn the_way_back_to_the_floor_leads_through_no_wall() {
+    let mut plan = Plan::room(8.0, 5.0);
+    plan.wall(5.5, 0.0, 5.7, 5.0);
+    let mut floor = Floor::new(plan, &[Point::new(7.0, 2.0)], 4, |_| false);
+    floor.coordinator.keep_to(western_part());
+    floor.run(2, |_| false);
+    let refused = floor.coordinator.goal(id(0), 2.0, 4.0, floor.now);
+    assert_eq!(refused, Err(GoalError::Unreachable));
+}
+
 /// Nothing is known of the hall at first. The robots map their part of it, never leave it, and do not try
 /// to look at the rest for ever.
 #[test]
