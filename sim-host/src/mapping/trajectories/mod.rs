@@ -60,7 +60,7 @@ const SEEN: [f64; 3] = [0.02, 0.02, 0.01];
 const FIRST: [f64; 3] = [0.1, 0.1, 0.05];
 /// Distance and turn within which a piece is still where it was found.
 const FOUND: (f64, f64) = (0.1, 0.05);
-/// Number of blocks of the graph's matrix that are worked on at a time: some 10 ms.
+/// Number of blocks of the graph's matrix that are worked on at a time: some 10 ms; few in tests, so that parts are tested.
 const BLOCKS: usize = if cfg!(test) { 1_000 } else { 20_000 };
 
 /// All robots' trajectories.
