@@ -201,6 +201,11 @@ impl Ground {
         self.blind[at]
     }
 
+    /// Whether a camera sees the cell.
+    pub(super) fn is_covered(&self, at: usize) -> bool {
+        self.covered[at]
+    }
+
     /// Whether cameras see nearly all of a disc; what stands on it hides some cells.
     pub(super) fn is_in_view(&self, disc: &Disc) -> bool {
         let (mut seen, mut all) = (0, 0);

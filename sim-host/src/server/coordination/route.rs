@@ -57,13 +57,16 @@ impl<'a> Terrain<'a> {
             (cells * cells).ceil() as u32
         };
         let (least, roomy) = (squared(room_m), squared(room_m + settings.clearances.spare_m));
+        let landmarks = squared(0.5 * settings.range_m);
         let weight = |at| match (ground.to_wall(at), ground.to_movable(at)) {
             (wall, _) if wall < least => SHUT,
             // A robot that has drawn the cell itself, which the server has forgotten, may cross it.
             _ if !ground.is_trusted(at) => costs.unknown.min(MAX_WEIGHT),
             (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
             (wall, movable) if wall.min(movable) < roomy => costs.tight.min(MAX_WEIGHT),
-            _ => ROOMY,
+            // Cameras see where it is.
+            (wall, movable) if wall.min(movable) < landmarks || ground.is_covered(at) => ROOMY,
+            _ => costs.empty.min(MAX_WEIGHT),
         };
         let weights = (0..ground.len()).map(weight).collect();
         Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT) }
@@ -330,6 +333,24 @@ mod tests {
         assert!(terrain.route(from, to).is_some());
         terrain.shut(&across, from);
         assert_eq!(terrain.route(from, to), None);
+    }
+
+    #[test]
+    fn a_robot_keeps_to_what_it_can_be_localised_by_if_no_camera_sees_it() {
+        let plan = Plan::room(12.0, 9.0);
+        let route = |is_covered: bool, from, to| {
+            let ground = plan.ground(is_covered);
+            Terrain::new(&ground, 0.3, &Settings::default()).route(from, to).unwrap()
+        };
+        let to_wall = |at: &Point| plan.room_around(*at);
+        let (from, to) = (Point::new(1.0, 4.5), Point::new(11.0, 4.5));
+        assert!((length(&route(true, from, to)) - 10.0).abs() < 0.1);
+        let along = route(false, from, to);
+        let farthest = along.iter().map(to_wall).fold(0.0, f64::max);
+        assert!(farthest < 2.2 && length(&along) < 14.0, "{along:?}");
+        // It does cross the hall if the way along the walls is more than twice as long.
+        let (from, to) = (Point::new(6.0, 2.5), Point::new(6.0, 6.5));
+        assert!(length(&route(false, from, to)) < 4.1);
     }
 
     #[test]

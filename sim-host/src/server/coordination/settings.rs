@@ -239,6 +239,9 @@ pub struct CrossingCosts {
     pub tight: u8,
     /// Cost of ground last seen occupied by something movable.
     pub movable: u8,
+    /// Cost of ground that no camera sees, and from which a robot sees nothing by which it could be localised: twice
+    /// that of other open ground (coastal navigation: Roy et al. 1999).
+    pub empty: u8,
     /// Cost of unknown ground at the edge of known ground, on which a robot's own planner does not drive.
     pub unknown: u8,
     /// Cost where a robot or a person stands: worth a detour of up to 6 m.
@@ -257,6 +260,7 @@ impl Default for CrossingCosts {
     fn default() -> Self {
         Self {
             tight: 3,
+            empty: 4,
             movable: 12,
             unknown: 40,
             standing: 12,

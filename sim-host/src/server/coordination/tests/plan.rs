@@ -64,6 +64,16 @@ impl Plan {
         }
     }
 
+    /// The ground, all of which is known; cameras see all of it or nothing.
+    pub(in crate::server::coordination) fn ground(&self, is_covered: bool) -> Ground {
+        let (mut fused, mut coverage) = (ServedLayer::default(), ServedLayer::default());
+        set(&mut fused, self.places().map(|it| (it, self.cell(middle(it)))));
+        if is_covered {
+            set(&mut coverage, self.places().map(|it| (it, Cell::Free)));
+        }
+        Ground::survey(&fused, &coverage, &[], None, &Settings::default()).unwrap()
+    }
+
     /// All cells of the plan.
     pub(super) fn places(&self) -> impl Iterator<Item = (i32, i32)> + use<> {
         let end = |metres: f64| ((metres + 0.1) / SIDE_M) as i32 + 1;
