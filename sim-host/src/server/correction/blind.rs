@@ -5,6 +5,7 @@
 //! own, that of the trip, which drifts in the map. The [`Drift`] is corrected by matches with the map that all robots
 //! draw, and by where their trajectories put the robot's views.
 
+use nalgebra::Vector2;
 use ubimap_protocol::{
     message::DistanceVector,
     tile::Tile,
@@ -14,7 +15,7 @@ use ubimap_protocol::{
 
 use super::{
     booted::Booted,
-    drift::{Corrected, Drift, FAR},
+    drift::{Drift, FAR},
     odometry::{Reported, TurnScale, Variances},
 };
 use crate::{
@@ -79,7 +80,8 @@ impl BlindTrip {
     pub(super) fn after(unseen: Duration, reported: Reported) -> Self {
         let metres = (unseen.micros() as f64 / 1e6).min(UNHEARD_M);
         let mut drift = Drift::none();
-        drift.go(Some(Variances::of_motion(&Motion::translation(metres, 0.0))));
+        let way = motion(reported.pose).rotation * Vector2::new(1_000.0 * metres, 0.0);
+        drift.go(way, Some(Variances::of_motion(&Motion::translation(metres, 0.0))));
         Self {
             trail: Trail::default(),
             at: motion(reported.pose),
@@ -172,26 +174,21 @@ impl BlindTrip {
         let mut pose = submaps::pose(&(self.frame * self.at));
         let search = self.go(&rolled);
         let found = surfaces(pose, reach + search.position).find(points, pose, search);
-        let corrected = found.and_then(|found| self.drift.correct(pose, &found, self.way_mm));
+        let corrected = found.and_then(|found| self.drift.correct(pose, &found));
         if let Some(corrected) = corrected {
             (self.way_mm, self.turned) = (0.0, 0.0);
-            pose = corrected.pose();
+            pose = corrected;
             self.frame = motion(pose) * self.at.inverse();
         }
         if let Some(trajectories) = trajectories.as_mut() {
             let (view, pose) = (View::of(vector), motion(pose));
-            if let Some(Corrected::Moved(_)) = corrected {
-                trajectories.found(robot, &view, pose);
-            } else {
-                let step = (!self.is_new).then_some(step);
-                trajectories.add(robot, &view, pose, step, None);
-            }
+            let step = (!self.is_new).then_some(step);
+            trajectories.add(robot, &view, pose, step, None);
         }
         self.is_new = false;
         let sure = followed.filter(Match::is_sure).map(|it| it.moved(&self.frame)).or(found);
         // Without a view, the server still knows better than the robot what its odometry is worth.
-        let covariance =
-            sure.map_or_else(|| self.drift.covariance(self.way_mm), |it| it.covariance);
+        let covariance = sure.map_or_else(|| self.drift.covariance(), |it| it.covariance);
         let fix = Match { pose, covariance };
         self.reported = reported.found(&fix);
         Some(fix)
@@ -240,16 +237,18 @@ impl BlindTrip {
         };
         let followed = near(&self.trail, predicted).follow(points, predicted, search);
         // A match that contradicts the odometry by more than it can err is wrong. It contains what the odometry says.
-        let followed = followed.filter(|it| strayed.allow(predicted, it.pose, [0.0; 3]));
+        let followed = followed.filter(|it| strayed.allow(predicted, it.pose));
         let pose = followed.map_or(predicted, |it| it.pose);
-        self.at = motion(pose);
+        let from = core::mem::replace(&mut self.at, motion(pose));
+        let way = self.at.translation.vector - from.translation.vector;
+        let way = self.frame.rotation * (1_000.0 * way);
         match followed.map(|it| it.deviations()) {
             Some([.., seen]) if seen < SURE => {
                 let off = (predicted.heading - pose.heading).radians();
                 scale.learn(rolled.rotation.angle(), off, strayed.turn + seen * seen);
-                self.drift.go(None);
+                self.drift.go(way, None);
             }
-            _ => self.drift.go(Some(strayed)),
+            _ => self.drift.go(way, Some(strayed)),
         }
         followed
     }

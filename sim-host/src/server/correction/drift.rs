@@ -1,128 +1,108 @@
 //! How far a robot's pose has drifted from the map while it was followed by what it saw itself.
 
-use nalgebra::{Matrix3, Vector3};
-use ubimap_protocol::units::Pose;
+use nalgebra::{Matrix3, Vector2, Vector3};
+use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
-use super::odometry::Variances;
-use crate::mapping::{
-    Match,
-    submaps::{Motion, is_within, motion},
-};
+use super::odometry::{Variances, off};
+use crate::mapping::Match;
 
 /// How far off robots have drawn the map in blind ground: deviations in mm and rad (a degree).
-const MAP: (f64, f64) = (50.0, 0.0175);
+const MAP: Variances = Variances::of(50.0, 0.0175);
 /// Deviations that a view adds in which a robot is followed: in mm and rad (0.15 degrees).
 const FOLLOWED: Variances = Variances::of(10.0, 0.002_6);
-/// Distance (m) and angle (5 degrees) within which two corrections are the same.
-const SAME: (f64, f64) = (0.15, 0.087);
-/// From a place this far away (m), or turned by so much (40 degrees), a robot sees something else.
-const ELSEWHERE: (f64, f64) = (0.5, 0.7);
+/// Squared Mahalanobis distance beyond which a match is wrong: one good one in a thousand.
+const GATE: f64 = 16.27;
+/// Part of the square of its own correction that is added to the covariance of a match: one that corrects a pose by more
+/// than its deviation may be wrong, and must not make it sure.
+const DOUBT: f64 = 0.5;
 
 /// Within this distance (m) and turn (11 degrees) of where a robot is believed to be, its pose follows what all robots'
 /// trajectories say; farther off they are wrong more often than right.
 pub(super) const FAR: (f64, f64) = (0.5, 0.2);
 
-/// The drift of a robot's pose in the map.
+/// The drift of a robot's pose in the map: a Kalman filter over its error, which grows with the way and is corrected by
+/// matches with what robots drew.
 ///
-/// Walls in blind ground were drawn by robots that had drifted themselves. If the robot's pose went to each match
-/// with them, its own walls would bend wherever it saw another's. So matches pull a pose that is followed, and move it
-/// only if two views of different walls agree that it is wrong, and the correction is within three deviations of its drift.
+/// These walls were drawn by robots that had drifted themselves. If the robot's pose went to each match with them, its own
+/// walls would bend wherever it saw another's; so a pose that is followed well goes there slowly.
 #[derive(Debug)]
 pub(super) struct Drift {
-    variances: Variances,
-    /// A match that contradicted the pose: where the robot was, and the motion in the map that would correct it.
-    contradiction: Option<(Pose, Motion)>,
-}
-
-/// What a match says of a robot's pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Corrected {
-    /// It is a little off; the corrected pose.
-    Pulled(Pose),
-    /// It was wrong; the right one.
-    Moved(Pose),
-}
-
-impl Corrected {
-    pub(super) fn pose(self) -> Pose {
-        let (Self::Pulled(pose) | Self::Moved(pose)) = self;
-        pose
-    }
+    /// Of x, y (mm) and heading (rad) in the map. A heading that goes wrong displaces the position on the way, so the
+    /// three belong together.
+    covariance: Matrix3<f64>,
 }
 
 impl Drift {
     /// A robot that was just seen.
     pub(super) fn none() -> Self {
-        Self { variances: Variances::of(20.0, 0.009), contradiction: None }
+        Self { covariance: diagonal(Variances::of(20.0, 0.009)) }
     }
 
     /// A robot whose pose is as good as the map.
     pub(super) fn of_map() -> Self {
-        Self { variances: Variances::of(MAP.0, MAP.1), contradiction: None }
+        Self { covariance: diagonal(MAP) }
     }
 
-    /// The robot has driven on, and was followed by what it saw, or else has strayed by this much.
-    pub(super) fn go(&mut self, strayed: Option<Variances>) {
-        self.variances = self.variances.plus(strayed.unwrap_or(FOLLOWED));
+    /// The robot has driven on by a way in the map (mm), and was followed by what it saw, or else has strayed by this
+    /// much.
+    pub(super) fn go(&mut self, way: Vector2<f64>, strayed: Option<Variances>) {
+        let along = Matrix3::new(1.0, 0.0, -way.y, 0.0, 1.0, way.x, 0.0, 0.0, 1.0);
+        self.covariance =
+            along * self.covariance * along.transpose() + diagonal(strayed.unwrap_or(FOLLOWED));
     }
 
-    /// The covariance of the robot's pose in the map, of x, y (mm) and heading (rad), `way` mm after it was last known.
-    pub(super) fn covariance(&self, way: f64) -> Matrix3<f64> {
-        let (place, turn) = (self.place(way), self.variances.turn);
-        Matrix3::from_diagonal(&Vector3::new(place, place, turn))
+    /// The covariance of the robot's pose in the map, of x, y (mm) and heading (rad).
+    pub(super) fn covariance(&self) -> Matrix3<f64> {
+        self.covariance
     }
 
-    /// The variance of its position, in mm^2: the heading went wrong little by little on the way, and the position with
-    /// it.
-    fn place(&self, way: f64) -> f64 {
-        let Variances { place, turn } = self.variances;
-        place + turn * way * way / 3.0
-    }
-
-    /// Corrects a pose by a match with the map, `way` mm after the pose was last known. `None` if the match contradicts
-    /// it: either may be wrong.
-    pub(super) fn correct(&mut self, pose: Pose, found: &Match, way: f64) -> Option<Corrected> {
-        let [x, y, turn] = found.deviations();
-        let deviations = [x.hypot(MAP.0), y.hypot(MAP.0), turn.hypot(MAP.1)];
-        if let Some(pulled) = self.variances.correct(pose, found.pose, deviations) {
-            self.contradiction = None;
-            return Some(Corrected::Pulled(pulled));
-        }
-        // Another robot may have drawn this as far off, so the trajectories decide. Beyond that the robot may be lost, if
-        // its drift explains the distance.
-        let is_near = is_within(&motion(found.pose).inv_mul(&motion(pose)), FAR);
-        let place = self.place(way);
-        let drifted = Variances { place, ..self.variances };
-        if is_near || !drifted.allow(pose, found.pose, deviations) {
-            self.contradiction = None;
+    /// Corrects a pose by a match with the map. `None` if the match contradicts it: either may be wrong.
+    pub(super) fn correct(&mut self, pose: Pose, found: &Match) -> Option<Pose> {
+        let off = Vector3::from(off(pose, found.pose));
+        let seen = found.covariance + diagonal(MAP);
+        let distance = off.dot(&((self.covariance + seen).try_inverse()? * off));
+        if distance > GATE {
             return None;
         }
-        let by = motion(found.pose) * motion(pose).inverse();
-        if let Some((from, before)) = self.contradiction {
-            let off = (before * motion(pose)).inverse() * motion(found.pose);
-            let driven = motion(from).inverse() * motion(pose);
-            match (is_within(&off, SAME), is_within(&driven, ELSEWHERE)) {
-                (true, false) => {
-                    *self = Self::of_map();
-                    return Some(Corrected::Moved(found.pose));
-                }
-                (true, true) => return None,
-                (false, _) => {}
-            }
-        }
-        self.contradiction = Some((pose, by));
-        None
+        let doubted = seen + DOUBT * off * off.transpose();
+        let gain = self.covariance * (self.covariance + doubted).try_inverse()?;
+        let left = Matrix3::identity() - gain;
+        // Joseph's form stays symmetric and positive whatever is rounded.
+        self.covariance =
+            left * self.covariance * left.transpose() + gain * doubted * gain.transpose();
+        let by = gain * off;
+        Some(Pose {
+            x: pose.x + Millimetres(by.x.round() as i32),
+            y: pose.y + Millimetres(by.y.round() as i32),
+            heading: pose.heading + Angle::from_radians(by.z),
+        })
     }
+}
+
+fn diagonal(Variances { place, turn }: Variances) -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::new(place, place, turn))
 }
 
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
     use super::*;
+    use crate::mapping::submaps::Motion;
 
     fn found(x: f64, y: f64, degrees: f64) -> Match {
         let pose = Pose::from_metres(x, y, degrees.to_radians());
         let covariance = Matrix3::from_diagonal(&Vector3::new(400.0, 400.0, 1e-4));
         Match { pose, covariance }
+    }
+
+    /// A robot that has driven straight on for this many steps of 0.2 m, and saw its way.
+    fn driven(steps: usize) -> Drift {
+        let mut drift = Drift::none();
+        (0..steps).for_each(|_| drift.go(Vector2::new(200.0, 0.0), None));
+        drift
     }
 
     #[test]
@@ -131,12 +111,8 @@ mod tests {
         let mut pose = Pose::default();
         let mut offs = Vec::new();
         for _ in 0..30 {
-            drift.go(None);
-            let Some(Corrected::Pulled(pulled)) = drift.correct(pose, &found(0.06, 0.0, 2.0), 0.0)
-            else {
-                panic!("{offs:?}")
-            };
-            pose = pulled;
+            drift.go(Vector2::zeros(), None);
+            pose = drift.correct(pose, &found(0.06, 0.0, 2.0)).unwrap();
             offs.push((pose.x.0, pose.heading.degrees()));
         }
         let (x, heading) = offs[0];
@@ -145,51 +121,81 @@ mod tests {
         assert!(x > 50 && heading > 1.7, "{offs:?}");
     }
 
+    /// Against the errors of robots that drive the same way, and err as much at random.
     #[test]
-    fn a_pose_moves_only_if_views_from_two_places_agree() {
-        let after = |drift: &mut Drift, x: f64, by: f64, way: f64| {
-            drift.correct(Pose::from_metres(x, 0.0, 0.0), &found(x + by, 0.0, 0.0), way)
+    fn the_covariance_is_that_of_robots_that_err_at_random() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut random = |variance: f64| {
+            let it: f64 = StandardNormal.sample(&mut rng);
+            variance.sqrt() * it
         };
+        let strayed = Variances::of(20.0, 0.004);
+        let ways = [(0.3, 0.0); 40].into_iter().chain([(0.05, 0.2); 8]).chain([(0.2, 0.0); 30]);
+        let steps: Vec<Motion> =
+            ways.map(|(way, turn)| Motion::new(Vector2::new(1_000.0 * way, 0.0), turn)).collect();
         let mut drift = Drift::none();
-        for x in [1.0, 2.0, 3.0] {
-            assert_eq!(after(&mut drift, x, 0.6, 10_000.0), None, "it can't have drifted so far");
+        let mut at = Motion::identity();
+        for step in &steps {
+            drift.go(at.rotation * step.translation.vector, Some(strayed));
+            at *= step;
         }
-        let far = |drift: &mut Drift, x: f64, by: f64| after(drift, x, by, 40_000.0);
-        for x in [1.0, 2.0, 3.0] {
-            assert_eq!(far(&mut drift, x, 0.45), None, "the trajectories know better");
+        let Variances { place, turn } = strayed;
+        let mut sum = Matrix3::zeros();
+        let robots = 4_000;
+        for _ in 0..robots {
+            let mut err = |place: f64, turn: f64| {
+                Motion::new(Vector2::new(random(place), random(place)), random(turn))
+            };
+            let mut pose = err(400.0, 0.009 * 0.009);
+            for step in &steps {
+                pose = pose * step * err(place, turn);
+            }
+            let by = pose.translation.vector - at.translation.vector;
+            let turned = at.rotation.rotation_to(&pose.rotation).angle();
+            let off = Vector3::new(by.x, by.y, turned);
+            sum += off * off.transpose();
         }
-        assert_eq!(far(&mut drift, 1.0, 0.6), None);
-        assert_eq!(far(&mut drift, 1.2, 0.6), None, "nearly the same view");
-        assert_eq!(far(&mut drift, 2.0, -0.6), None, "another correction");
-        assert_eq!(far(&mut drift, 2.6, 0.6), None);
-        assert_eq!(far(&mut drift, 3.2, 0.4), None, "another one again, and near");
-        assert_eq!(far(&mut drift, 3.8, 0.6), None);
-        let there = Pose::from_metres(5.0, 0.0, 0.0);
-        assert_eq!(far(&mut drift, 4.4, 0.6), Some(Corrected::Moved(there)));
-        // It is as unsure as the map now.
-        assert!(matches!(far(&mut drift, 4.4, 0.1), Some(Corrected::Pulled(_))));
+        let sampled = sum / f64::from(robots);
+        let scale =
+            |it: &Matrix3<f64>, (row, column)| f64::sqrt(it[(row, row)] * it[(column, column)]);
+        for at in [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)] {
+            let off = (drift.covariance()[at] - sampled[at]) / scale(&sampled, at);
+            assert!(off.abs() < 0.1, "{at:?}: {} {sampled}", drift.covariance());
+        }
     }
 
     #[test]
-    fn a_heading_that_goes_wrong_on_the_way_displaces_the_position() {
-        let mut drift = Drift::none();
-        let step = Variances::of(20.0, 0.004);
-        (0..100).for_each(|_| drift.go(Some(step)));
-        // 100 steps of 0.2 m, by an integral of what each turn does to the rest of the way.
-        let integral: f64 = (0..100).map(|it| (0.004 * 200.0 * f64::from(it)).powi(2)).sum();
-        let [still, driven] = [0.0, 20_000.0].map(|way| drift.covariance(way)[(1, 1)]);
-        assert!(((driven - still) / integral - 1.0).abs() < 0.1, "{still} {driven} {integral}");
+    fn where_a_robot_has_got_to_tells_of_its_heading() {
+        let mut drift = driven(100);
+        let pose = Pose::from_metres(20.0, 0.0, 0.0);
+        // Its heading is not known from this match, but a degree too small a heading would lead there.
+        let covariance = Matrix3::from_diagonal(&Vector3::new(400.0, 400.0, 1.0));
+        let found = Match { pose: Pose::from_metres(20.0, 0.175, 0.0), covariance };
+        let corrected = drift.correct(pose, &found).unwrap();
+        assert!(corrected.heading.degrees() > 0.4, "{corrected:?}");
+    }
+
+    #[test]
+    fn a_match_is_believed_as_far_as_the_drift_explains_it() {
+        let pose = Pose::from_metres(20.0, 0.0, 0.0);
+        // Half a metre to the side after 4 m, and after 20 m.
+        assert_eq!(driven(20).correct(pose, &found(20.0, 0.6, 0.0)), None);
+        let mut drift = driven(100);
+        let aside = drift.correct(pose, &found(20.0, 0.6, 0.0)).unwrap();
+        assert!((100..500).contains(&aside.y.0), "{aside:?}");
+        // It is not sure of that: another place may still be the right one.
+        let back = drift.correct(aside, &found(20.0, 0.0, 0.0)).unwrap();
+        assert!(back.y.0 < aside.y.0 / 2, "{aside:?} {back:?}");
     }
 
     #[test]
     fn a_robot_that_has_strayed_follows_the_map() {
         let mut drift = Drift::none();
-        drift.go(Some(Variances::of(300.0, 0.1)));
-        let Some(Corrected::Pulled(pose)) =
-            drift.correct(Pose::default(), &found(0.4, 0.0, 5.0), 0.0)
-        else {
-            panic!()
-        };
-        assert!(pose.x.0 > 360 && pose.heading.degrees() > 4.5, "{pose:?}");
+        drift.go(Vector2::zeros(), Some(Variances::of(300.0, 0.1)));
+        let mut pose = Pose::default();
+        for _ in 0..3 {
+            pose = drift.correct(pose, &found(0.4, 0.0, 5.0)).unwrap();
+        }
+        assert!(pose.x.0 > 340 && pose.heading.degrees() > 4.0, "{pose:?}");
     }
 }

@@ -13,8 +13,6 @@ use crate::mapping::{
     submaps::{Motion, motion},
 };
 
-/// Squared Mahalanobis distance beyond which robots reject a fix: one good fix in a thousand.
-pub(super) const GATE: f64 = 16.27;
 /// Squared Mahalanobis distance within which a pose may be corrected: three deviations.
 const CORRECTABLE: f64 = 9.0;
 /// Deviation of the scale of a robot's turns before anything is known.
@@ -62,43 +60,15 @@ impl Variances {
         (Millimetres(self.place.sqrt() as i32), Angle::from_radians(self.turn.sqrt().min(1.0)))
     }
 
-    /// Whether another pose than the estimated one is plausible, whose own deviations of x, y (mm) and heading (rad) are
-    /// given: at most three deviations away.
-    pub(super) fn allow(self, pose: Pose, other: Pose, deviations: [f64; 3]) -> bool {
-        self.distance(pose, other, deviations) <= CORRECTABLE
-    }
-
-    /// The squared Mahalanobis distance from a pose to another estimate of it with these deviations.
-    fn distance(self, pose: Pose, other: Pose, deviations: [f64; 3]) -> f64 {
-        let own = [self.place, self.place, self.turn];
-        let square =
-            |axis: usize| off(pose, other)[axis].powi(2) / (own[axis] + deviations[axis].powi(2));
-        (0..3).map(square).sum()
-    }
-
-    /// Corrects a pose by another estimate of it, whose deviations of x, y (mm) and heading (rad) are given.
-    /// `None` if the two are farther apart than their variances allow.
-    pub(super) fn correct(&mut self, pose: Pose, seen: Pose, deviations: [f64; 3]) -> Option<Pose> {
-        if self.distance(pose, seen, deviations) > GATE {
-            return None;
-        }
-        let off = off(pose, seen);
-        let own = [self.place, self.place, self.turn];
-        let [x, y, turn]: [f64; 3] =
-            core::array::from_fn(|axis| own[axis] / (own[axis] + deviations[axis].powi(2)));
-        self.place *= 1.0 - 0.5 * (x + y);
-        self.turn *= 1.0 - turn;
-        let part = |off: f64, gain: f64| Millimetres((gain * off).round() as i32);
-        Some(Pose {
-            x: pose.x + part(off[0], x),
-            y: pose.y + part(off[1], y),
-            heading: pose.heading + Angle::from_radians(turn * off[2]),
-        })
+    /// Whether another pose than the estimated one is plausible: at most three deviations away.
+    pub(super) fn allow(self, pose: Pose, other: Pose) -> bool {
+        let [x, y, turn] = off(pose, other);
+        (x * x + y * y) / self.place + turn * turn / self.turn <= CORRECTABLE
     }
 }
 
 /// By how much a pose differs from another: in mm along x and y, and in rad.
-fn off(pose: Pose, other: Pose) -> [f64; 3] {
+pub(super) fn off(pose: Pose, other: Pose) -> [f64; 3] {
     let [x, y] = [other.x - pose.x, other.y - pose.y].map(|it| f64::from(it.0));
     [x, y, (other.heading - pose.heading).radians()]
 }
@@ -225,11 +195,7 @@ mod tests {
             (at(-0.061, 0.0), false),
             (at(0.05, 2.0), false),
         ] {
-            assert_eq!(
-                strayed.allow(at(0.0, 0.0), corrected, [0.0; 3]),
-                is_allowed,
-                "{corrected:?}"
-            );
+            assert_eq!(strayed.allow(at(0.0, 0.0), corrected), is_allowed, "{corrected:?}");
         }
     }
 
