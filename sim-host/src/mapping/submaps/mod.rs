@@ -39,7 +39,7 @@ pub use {
     graph_mapper::{GraphCounts, GraphMapper},
     pose_graph::{Absolute, Edge, Iteration, PoseGraph},
     refinement::{Refined, refine},
-    rigid::{Motion, is_within, motion, pose, turned},
+    rigid::{Measured, Motion, difference, is_within, motion, pose, turned},
     submap::Submap,
     view::View,
 };

@@ -32,17 +32,18 @@ pub(super) fn of_coordinates(vector: Vector3<f64>) -> Motion {
 }
 
 /// By how much `to` differs from `from`: x, y and turn, in the frame of both.
-pub(super) fn difference(from: &Motion, to: &Motion) -> Vector3<f64> {
+pub fn difference(from: &Motion, to: &Motion) -> Vector3<f64> {
     let off = to.translation.vector - from.translation.vector;
     Vector3::new(off.x, off.y, (to.rotation / from.rotation).angle())
 }
 
 /// A measured motion.
 #[derive(Clone, Debug)]
-pub(super) struct Measured {
-    pub(super) motion: Motion,
+pub struct Measured {
+    /// The motion.
+    pub motion: Motion,
     /// Covariance of x, y and turn, in the frame from which the motion starts.
-    pub(super) covariance: Matrix3<f64>,
+    pub covariance: Matrix3<f64>,
 }
 
 impl Measured {
@@ -52,7 +53,7 @@ impl Measured {
     }
 
     /// This motion and then another, which is independent of it.
-    pub(super) fn then(&self, next: &Self) -> Self {
+    pub fn then(&self, next: &Self) -> Self {
         let arm = self.motion.rotation * next.motion.translation.vector;
         let by_own = Matrix3::new(1.0, 0.0, -arm.y, 0.0, 1.0, arm.x, 0.0, 0.0, 1.0);
         let by_next = turned(self.motion.rotation.angle());
@@ -64,7 +65,7 @@ impl Measured {
     }
 
     /// The motion back.
-    pub(super) fn inverse(&self) -> Self {
+    pub fn inverse(&self) -> Self {
         let motion = self.motion.inverse();
         let arm = motion.translation.vector;
         let by_own = Matrix3::new(1.0, 0.0, -arm.y, 0.0, 1.0, arm.x, 0.0, 0.0, 1.0)

@@ -9,6 +9,7 @@
 //! The newest 4,000 pieces can move; the corrections of older ones are settled. Units are metres and radians.
 //! Deterministic.
 
+mod certainty;
 mod overlaps;
 mod piece;
 mod settling;
@@ -19,7 +20,11 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use nalgebra::{Matrix3, Vector3};
 use ubimap_protocol::units::{Millimetres, Pose, RobotId};
 
-use self::{overlaps::Overlaps, piece::Piece};
+use self::{
+    certainty::{Matches, covariance},
+    overlaps::Overlaps,
+    piece::Piece,
+};
 use super::{
     placed_layer::{Correction, Placement},
     submaps::{
@@ -58,6 +63,8 @@ const RIGHT: (f64, f64) = (0.05, 0.017_5);
 const SEEN: [f64; 3] = [0.02, 0.02, 0.01];
 /// Deviations of the first pose of a robot.
 const FIRST: [f64; 3] = [0.1, 0.1, 0.05];
+/// Factor on the deviations of a step to tell whether a match is plausible.
+const WARY: f64 = 2.0;
 /// Distance and turn within which a piece is still where it was found.
 const FOUND: (f64, f64) = (0.1, 0.05);
 /// Number of blocks of the graph's matrix that are worked on at a time: some 10 ms; few in tests, so that parts are tested.
@@ -143,7 +150,7 @@ impl Trajectories {
         let Some(&last) = trajectory.pieces.last() else {
             let node = self.pieces.len();
             self.graph.absolutes.push(Absolute { node, pose, information: information(FIRST) });
-            return self.begin(robot, view, pose, seen);
+            return self.begin(robot, view, pose, seen, Matrix3::zeros());
         };
         let piece = &mut self.pieces[last];
         let step = match (since, step) {
@@ -181,7 +188,9 @@ impl Trajectories {
             information: turn * information(step.deviations) * turn.transpose(),
             is_doubted: step.is_doubted,
         });
-        self.begin(robot, view, pose, seen);
+        let turn = turned(before.rotation.angle());
+        let step = turn * covariance(step.deviations.map(|it| WARY * it)) * turn.transpose();
+        self.begin(robot, view, pose, seen, step);
     }
 
     /// Begins anew where a robot was found that did not know where it was.
@@ -195,9 +204,16 @@ impl Trajectories {
         self.add(robot, view, pose, Some(step), None);
     }
 
-    fn begin(&mut self, robot: RobotId, view: &View, pose: Motion, seen: Option<Motion>) {
+    fn begin(
+        &mut self,
+        robot: RobotId,
+        view: &View,
+        pose: Motion,
+        seen: Option<Motion>,
+        step: Matrix3<f64>,
+    ) {
         let node = self.pieces.len();
-        self.pieces.push(Piece::new(robot, view, seen.is_some()));
+        self.pieces.push(Piece::new(robot, view, step, seen.is_some()));
         self.matches.push(Vec::new());
         self.graph.poses.push(pose);
         self.placed.push(pose);
@@ -209,6 +225,7 @@ impl Trajectories {
     }
 
     fn see(&mut self, node: usize, pose: Motion) {
+        self.pieces[node].held = Some(covariance(SEEN));
         self.graph.absolutes.push(Absolute { node, pose, information: information(SEEN) });
         self.is_unsolved = true;
     }
@@ -244,40 +261,75 @@ impl Trajectories {
         self.solving.is_some()
     }
 
-    /// Matches a piece with those that saw the same ground. One whose pose cameras saw is as good as it gets; it holds
-    /// others in place.
+    /// A match with the whole map, which may be wrong, puts the newest view of a robot here.
+    pub fn suggest(&mut self, robot: RobotId, pose: Motion) {
+        if let Some(&last) = self.robots.get(&robot).and_then(|it| it.pieces.last()) {
+            let piece = &mut self.pieces[last];
+            piece.suggested = Some(pose * piece.last().at.inverse());
+        }
+    }
+
+    /// Matches a piece with those that saw the same ground, where it is or where the whole map suggests, whichever gives
+    /// more matches. One whose pose cameras saw is as good as it gets; it holds others in place.
     fn relate(&mut self, number: usize) {
-        self.find(number);
-        let piece = &self.pieces[number];
-        if piece.is_seen {
+        let here = self.graph.poses[number];
+        let there = self.pieces[number].suggested;
+        let there = there.filter(|it| !is_within(&here.inv_mul(it), FOUND));
+        let suggested = there.map(|there| self.matches_at(number, &there));
+        let mut found = self.matches_at(number, &here);
+        if self.pieces[number].is_seen {
             return;
         }
+        if let Some(suggested) = suggested.filter(|it| it.edges.len() > found.edges.len()) {
+            found = suggested;
+        }
+        self.hold(number, &found);
+        self.matches[number] = found.edges;
+    }
+
+    /// The matches of a piece at about a pose with those that saw the same ground.
+    fn matches_at(&mut self, number: usize, pose: &Motion) -> Matches {
+        self.overlaps.place(number, &self.pieces[number].cloud, pose);
+        let piece = &self.pieces[number];
         let poses = &self.graph.poses;
-        let mut found = Vec::new();
+        let believed = self.believed(number, false);
+        let mut found = Matches { believed, edges: Vec::new(), covariances: Vec::new() };
+        if piece.is_seen {
+            return found;
+        }
         let others = self.overlaps.of(number).take_while(|(_, shared)| *shared >= LEAST_SHARED);
         for (other, _) in others.take(TRIED) {
-            if found.len() >= MATCHED {
+            if found.edges.len() >= MATCHED {
                 break;
             }
             let its = &self.pieces[other];
             if its.robot == piece.robot && self.between(number, other) < APART {
                 continue;
             }
-            let guess = poses[other].inv_mul(&poses[number]);
+            let guess = poses[other].inv_mul(pose);
             let surfels = piece.cloud.surfels();
             let Some(refined) = refine(&its.cloud, surfels, &guess, None) else { continue };
             let beside =
                 surfels.iter().filter(|it| its.cloud.is_beside(&it.moved(&refined.motion)));
             let least = (LEAST_SHARE * beside.count() as f64).max(LEAST_SURFELS as f64);
             let is_same = is_within(&guess.inv_mul(&refined.motion), FARTHEST);
-            if let (true, Some(information)) =
-                (is_same && refined.matched as f64 >= least, refined.covariance.try_inverse())
-            {
+            if !is_same || (refined.matched as f64) < least {
+                continue;
+            }
+            let plausible = self.plausible(&found.believed, (number, other), &refined);
+            if let Some((its, information)) = plausible.zip(refined.covariance.try_inverse()) {
                 let motion = refined.motion;
-                found.push(Edge { from: other, to: number, motion, information, is_doubted: true });
+                found.edges.push(Edge {
+                    from: other,
+                    to: number,
+                    motion,
+                    information,
+                    is_doubted: true,
+                });
+                found.covariances.push(its);
             }
         }
-        self.matches[number] = found;
+        found
     }
 
     /// Number of steps between two pieces of one robot.

@@ -3,7 +3,7 @@
 use core::ops::Range;
 use std::collections::BTreeMap;
 
-use nalgebra::Point2;
+use nalgebra::{Matrix3, Point2};
 use ubimap_protocol::{
     tile::TileId,
     time::Instant,
@@ -43,6 +43,12 @@ pub(super) struct Piece {
     free: Vec<[Point2<f64>; 3]>,
     /// That ground in the map.
     pub(super) ground: BTreeMap<TileId, Mask>,
+    /// Covariance of the step to it: of x, y and turn in the frame of the piece before; with some caution.
+    pub(super) step: Matrix3<f64>,
+    /// Covariance of its pose in the map, if something else than steps holds it there.
+    pub(super) held: Option<Matrix3<f64>>,
+    /// Where a match with the whole map puts it, which may be wrong.
+    pub(super) suggested: Option<Motion>,
     /// Whether cameras saw the robot meanwhile.
     pub(super) is_seen: bool,
     /// Whether the next view can't belong to it.
@@ -55,13 +61,16 @@ pub(super) struct Piece {
 
 impl Piece {
     /// A robot's piece with its first view; `is_seen` says whether cameras saw the robot.
-    pub(super) fn new(robot: RobotId, view: &View, is_seen: bool) -> Self {
+    pub(super) fn new(robot: RobotId, view: &View, step: Matrix3<f64>, is_seen: bool) -> Self {
         let mut piece = Self {
             robot,
             views: Vec::new(),
             cloud: Cloud::default(),
             free: Vec::new(),
             ground: BTreeMap::new(),
+            step,
+            held: None,
+            suggested: None,
             is_seen,
             is_closed: false,
             is_in_map: false,

@@ -24,6 +24,10 @@ impl Trajectories {
             let Some(trajectory) = self.robots.get(&robot) else { continue };
             // The newest piece of a robot that has not moved for long stays among the settled ones; it begins anew.
             let old = trajectory.pieces.partition_point(|it| *it < AT_ONCE);
+            if let Some(&first) = trajectory.pieces.get(old) {
+                self.pieces[first].held = Some(self.believed(first, true).covariance);
+            }
+            let Some(trajectory) = self.robots.get(&robot) else { continue };
             let mut settled = trajectory.settled.clone();
             trajectory.pieces[..old].iter().for_each(|&it| self.place(it, &mut settled));
             if let Some(trajectory) = self.robots.get_mut(&robot) {

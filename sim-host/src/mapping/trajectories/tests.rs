@@ -6,6 +6,7 @@ use ubimap_protocol::{
 };
 
 use super::*;
+use crate::mapping::submaps::{Measured, Refined};
 
 /// The walls of a corridor of 2 m around a block of 8 by 5 m, with a niche in each.
 fn walls() -> Vec<[f64; 4]> {
@@ -198,4 +199,96 @@ fn settled_pieces_stay_where_they_are() {
     let left = all.placement(robot, Millimetres(50)).corrections;
     assert_eq!(left[..2], [after[0], drawn]);
     assert!(left.len() < after.len(), "{} {}", left.len(), after.len());
+}
+
+/// Against the covariances of the graph, whose only measurements are the steps.
+#[test]
+fn a_piece_is_as_sure_as_the_steps_since_the_last_one_that_was_held() {
+    let (robot, mut all) = (RobotId(3), Trajectories::default());
+    let mut pose = Motion::new(Vector2::new(1.0, 2.0), 0.4);
+    for (second, (way, turn)) in (0..).zip(round().into_iter().take(90)) {
+        let seen = (second < 8).then_some(pose);
+        let by = Motion::new(Vector2::new(way, 0.0), turn.to_radians());
+        let step = (second >= 8).then(|| Step::new(by, [0.02, 0.02], None));
+        if second > 0 {
+            pose *= by;
+        }
+        all.add(robot, &view(&[], &pose, &pose, second), pose, step, seen);
+    }
+    let last = all.pieces.len() - 1;
+    let held = all.pieces.iter().rposition(|it| it.held.is_some()).unwrap();
+    assert!(held > 1 && last > held + 20, "{held} {last}");
+    let steps = all.steps.iter().map(|it| Edge { is_doubted: false, ..it.clone() }).collect();
+    let graph = PoseGraph { poses: all.graph.poses.clone(), edges: steps, absolutes: Vec::new() };
+    let turn = turned(all.graph.poses[held].rotation.angle());
+    let exact = turn * graph.relative_covariances(held, &[last])[0] * turn.transpose();
+    // That of the pose that is held is put at the end of the way.
+    let arm = Measured { motion: all.graph.poses[held], covariance: covariance(SEEN) };
+    let by = all.graph.poses[held].inv_mul(&all.graph.poses[last]);
+    let seen = arm.then(&Measured { motion: by, covariance: Matrix3::zeros() }).covariance;
+    let expected = seen + exact * WARY * WARY;
+    let off = all.believed(last, true).covariance - expected;
+    assert!(off.amax() < 1e-3 * expected.amax(), "{off} {expected}");
+}
+
+#[test]
+fn a_match_may_not_move_a_piece_by_more_than_the_steps_explain() {
+    let (all, _) = driven(2, false);
+    let (number, other) = all
+        .matches
+        .iter()
+        .enumerate()
+        .find_map(|(number, its)| Some((number, its.first()?.from)))
+        .unwrap();
+    let believed = all.believed(number, false);
+    let there = all.graph.poses[other].inv_mul(&all.graph.poses[number]);
+    let found = |degrees: f64| Refined {
+        motion: there * Motion::rotation(degrees.to_radians()),
+        covariance: covariance([0.03, 0.03, 0.01]),
+        matched: 60,
+        rms_m: 0.02,
+    };
+    let is_plausible = |it: &Refined| all.plausible(&believed, (number, other), it).is_some();
+    assert!(is_plausible(&found(1.0)) && is_plausible(&found(-2.0)));
+    assert!(!is_plausible(&found(12.0)) && !is_plausible(&found(-12.0)));
+}
+
+#[test]
+fn a_robot_that_is_far_off_comes_back_where_the_whole_map_suggests() {
+    let (walls, robot) = (walls(), RobotId(3));
+    for is_suggested in [false, true] {
+        let (mut all, poses) = driven(1, false);
+        let (mut second, mut truth, _) = *poses.last().unwrap();
+        // It drives another side without seeing anything, and is far off after that.
+        let mut reported = all.newest(robot).unwrap();
+        for corner in [15.0f64; 1].into_iter().chain([0.0; 19]) {
+            second += 1;
+            let turn = corner.to_radians();
+            truth *= Motion::new(Vector2::new(0.25, 0.0), turn);
+            let by = Motion::new(Vector2::new(0.25, 0.015), turn + 0.008);
+            reported *= by;
+            let step = Step::new(by, [0.1, 0.1], None);
+            all.add(robot, &view(&[], &truth, &reported, second), reported, Some(step), None);
+            match_all(&mut all);
+            solve(&mut all);
+        }
+        let off = |all: &Trajectories, truth: &Motion| {
+            (all.newest(robot).unwrap().translation.vector - truth.translation.vector).norm()
+        };
+        assert!(off(&all, &truth) > 0.6, "{}", off(&all, &truth));
+        for _ in 0..8 {
+            second += 1;
+            let by = Motion::translation(0.25, 0.0);
+            (truth, reported) = (truth * by, reported * by);
+            let step = Step::new(by, [0.02, 0.02], Some([0.01, 0.01, 0.01]));
+            all.add(robot, &view(&walls, &truth, &reported, second), reported, Some(step), None);
+            if is_suggested {
+                all.suggest(robot, truth);
+            }
+            match_all(&mut all);
+            solve(&mut all);
+        }
+        println!("off by {:.2} m, suggested: {is_suggested}", off(&all, &truth));
+        assert_eq!(off(&all, &truth) < 0.6, is_suggested);
+    }
 }

@@ -184,6 +184,9 @@ impl BlindTrip {
             let (view, pose) = (View::of(vector), motion(pose));
             let step = (!self.is_new).then_some(step);
             trajectories.add(robot, &view, pose, step, None);
+            if let Some(found) = found.filter(|_| corrected.is_some()) {
+                trajectories.suggest(robot, motion(found.pose));
+            }
         }
         self.is_new = false;
         let sure = followed.filter(Match::is_sure).map(|it| it.moved(&self.frame)).or(found);
