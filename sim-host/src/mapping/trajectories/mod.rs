@@ -10,6 +10,7 @@
 //! Deterministic.
 
 mod certainty;
+mod matches;
 mod overlaps;
 mod piece;
 mod settling;
@@ -21,7 +22,7 @@ use nalgebra::{Matrix3, Vector3};
 use ubimap_protocol::units::{Millimetres, Pose, RobotId};
 
 use self::{
-    certainty::{Matches, covariance},
+    matches::{Matches, covariance},
     overlaps::Overlaps,
     piece::Piece,
 };
@@ -150,7 +151,7 @@ impl Trajectories {
         let Some(&last) = trajectory.pieces.last() else {
             let node = self.pieces.len();
             self.graph.absolutes.push(Absolute { node, pose, information: information(FIRST) });
-            return self.begin(robot, view, pose, seen, Matrix3::zeros());
+            return self.begin(robot, view, pose, seen, covariance(FIRST));
         };
         let piece = &mut self.pieces[last];
         let step = match (since, step) {
@@ -188,9 +189,8 @@ impl Trajectories {
             information: turn * information(step.deviations) * turn.transpose(),
             is_doubted: step.is_doubted,
         });
-        let turn = turned(before.rotation.angle());
-        let step = turn * covariance(step.deviations.map(|it| WARY * it)) * turn.transpose();
-        self.begin(robot, view, pose, seen, step);
+        let spread = turn * covariance(step.deviations.map(|it| WARY * it)) * turn.transpose();
+        self.begin(robot, view, pose, seen, spread);
     }
 
     /// Begins anew where a robot was found that did not know where it was.
@@ -263,27 +263,29 @@ impl Trajectories {
 
     /// A match with the whole map, which may be wrong, puts the newest view of a robot here.
     pub fn suggest(&mut self, robot: RobotId, pose: Motion) {
-        if let Some(&last) = self.robots.get(&robot).and_then(|it| it.pieces.last()) {
-            let piece = &mut self.pieces[last];
-            piece.suggested = Some(pose * piece.last().at.inverse());
-        }
+        let Some(trajectory) = self.robots.get(&robot) else { return };
+        let Some(&last) = trajectory.pieces.last() else { return };
+        let since = trajectory.since.map_or_else(Motion::identity, |since| since.by);
+        let piece = &mut self.pieces[last];
+        piece.suggested = Some(pose * (piece.last().at * since).inverse());
     }
 
-    /// Matches a piece with those that saw the same ground, where it is or where the whole map suggests, whichever gives
-    /// more matches. One whose pose cameras saw is as good as it gets; it holds others in place.
+    /// Matches a piece with those that saw the same ground, where it is or where the whole map has suggested, whichever has
+    /// more support. One whose pose cameras saw is as good as it gets; it holds others in place.
     fn relate(&mut self, number: usize) {
         let here = self.graph.poses[number];
-        let there = self.pieces[number].suggested;
-        let there = there.filter(|it| !is_within(&here.inv_mul(it), FOUND));
-        let suggested = there.map(|there| self.matches_at(number, &there));
-        let mut found = self.matches_at(number, &here);
+        let suggested = self.pieces[number].suggested.take();
         if self.pieces[number].is_seen {
-            return;
+            return self.find(number);
         }
-        if let Some(suggested) = suggested.filter(|it| it.edges.len() > found.edges.len()) {
-            found = suggested;
+        let there = suggested.filter(|it| !is_within(&here.inv_mul(it), FOUND));
+        let there = there.map(|there| self.matches_at(number, &there));
+        let mut found = self.matches_at(number, &here);
+        let support = self.support(number, &found);
+        if let Some(there) = there.filter(|it| self.support(number, it) > support) {
+            found = there;
         }
-        self.hold(number, &found);
+        self.pieces[number].held = found.covariance();
         self.matches[number] = found.edges;
     }
 
@@ -292,14 +294,12 @@ impl Trajectories {
         self.overlaps.place(number, &self.pieces[number].cloud, pose);
         let piece = &self.pieces[number];
         let poses = &self.graph.poses;
-        let believed = self.believed(number, false);
-        let mut found = Matches { believed, edges: Vec::new(), covariances: Vec::new() };
-        if piece.is_seen {
-            return found;
-        }
+        let predicted = self.predicted(number);
+        let mut found = Matches { predicted, edges: Vec::new(), covariances: Vec::new() };
+        let mut refused = 0;
         let others = self.overlaps.of(number).take_while(|(_, shared)| *shared >= LEAST_SHARED);
         for (other, _) in others.take(TRIED) {
-            if found.edges.len() >= MATCHED {
+            if found.edges.len() >= MATCHED || refused >= MATCHED {
                 break;
             }
             let its = &self.pieces[other];
@@ -316,7 +316,8 @@ impl Trajectories {
             if !is_same || (refined.matched as f64) < least {
                 continue;
             }
-            let plausible = self.plausible(&found.believed, (number, other), &refined);
+            let plausible = self.plausible((number, &found.predicted), other, &refined);
+            refused += usize::from(plausible.is_none());
             if let Some((its, information)) = plausible.zip(refined.covariance.try_inverse()) {
                 let motion = refined.motion;
                 found.edges.push(Edge {

@@ -43,9 +43,10 @@ pub(super) struct Piece {
     free: Vec<[Point2<f64>; 3]>,
     /// That ground in the map.
     pub(super) ground: BTreeMap<TileId, Mask>,
-    /// Covariance of the step to it: of x, y and turn in the frame of the piece before; with some caution.
+    /// Covariance of the step to it: of x, y and turn in the frame of the piece before; with some caution. That of its
+    /// pose in the map, if it is the robot's first.
     pub(super) step: Matrix3<f64>,
-    /// Covariance of its pose in the map, if something else than steps holds it there.
+    /// Covariance of its pose in the map, if something else than steps has held it there.
     pub(super) held: Option<Matrix3<f64>>,
     /// Where a match with the whole map puts it, which may be wrong.
     pub(super) suggested: Option<Motion>,

@@ -25,7 +25,7 @@ impl Trajectories {
             // The newest piece of a robot that has not moved for long stays among the settled ones; it begins anew.
             let old = trajectory.pieces.partition_point(|it| *it < AT_ONCE);
             if let Some(&first) = trajectory.pieces.get(old) {
-                self.pieces[first].held = Some(self.believed(first, true).covariance);
+                self.pieces[first].step = self.believed(first).covariance;
             }
             let Some(trajectory) = self.robots.get(&robot) else { continue };
             let mut settled = trajectory.settled.clone();

@@ -34,6 +34,8 @@ const MAX_WEIGHT: u8 = 63;
 /// cost in one step: [`MAX_WEIGHT`] times a diagonal step, plus the change of the estimate.
 const BUCKETS: usize = 512;
 const _: () = assert!(((MAX_WEIGHT + ROOMY) as u32 * DIAGONAL) < BUCKETS as u32);
+/// A straight line may cost this much more than the steps that it replaces.
+const SAME_COST: f64 = 1.1;
 /// Maximum distance between consecutive points of a route, in metres.
 pub(super) const SPACING_M: f64 = 0.1;
 
@@ -195,32 +197,47 @@ impl<'a> Terrain<'a> {
     }
 
     /// The corners of a route after string pulling: straight segments that cross nothing more
-    /// expensive than the route itself.
+    /// expensive than the route itself, and cost no more in all.
     fn straightened(&self, cells: &[usize]) -> Vec<usize> {
         let mut corners: Vec<usize> = cells.first().copied().into_iter().collect();
         let mut anchor = 0;
-        let mut dearest = SHUT;
+        let (mut dearest, mut cost) = (SHUT, 0);
         for (next, pair) in cells.windows(2).enumerate().map(|(i, pair)| (i + 1, pair)) {
-            dearest = dearest.max(self.weights[pair[1]]);
-            if next - anchor > 1 && !self.is_straight(cells[anchor], pair[1], dearest) {
+            let (weight, step) = (self.weights[pair[1]], pair[0].abs_diff(pair[1]));
+            let is_diagonal = step != 1 && step != self.ground.width();
+            let length = if is_diagonal { DIAGONAL } else { STRAIGHT };
+            let step = u32::from(self.distinct(weight)) * length;
+            (dearest, cost) = (dearest.max(weight), cost + step);
+            if next - anchor > 1 && !self.is_straight(cells[anchor], pair[1], (dearest, cost)) {
                 corners.push(pair[0]);
                 anchor = next - 1;
-                dearest = self.weights[pair[0]].max(self.weights[pair[1]]);
+                (dearest, cost) = (self.weights[pair[0]].max(weight), step);
             }
         }
         corners.extend(cells.last().filter(|_| cells.len() > 1));
         corners
     }
 
+    /// The weight of a cell without the preference for clearance, which corners need not keep.
+    fn distinct(&self, weight: u8) -> u8 {
+        if weight <= self.tight { ROOMY } else { weight }
+    }
+
     /// Whether all cells on the line between two cells are open and at most as expensive as
-    /// `dearest`.
-    fn is_straight(&self, from: usize, to: usize, dearest: u8) -> bool {
+    /// `dearest`, and the line costs little more than `cost`.
+    fn is_straight(&self, from: usize, to: usize, (dearest, cost): (u8, u32)) -> bool {
         let (a, b) = (self.ground.place(from), self.ground.place(to));
-        let steps = ((b - a).norm() / self.ground.side_m() * 2.0).ceil();
-        (0..=steps as usize).all(|step| {
+        let cells = (b - a).norm() / self.ground.side_m();
+        let steps = (cells * 2.0).ceil();
+        let mut sum = 0.0;
+        let is_cheap = (0..=steps as usize).all(|step| {
             let on_line = self.ground.at(a + (b - a) * (step as f64 / steps));
-            on_line.is_some_and(|at| (ROOMY..=dearest.max(self.tight)).contains(&self.weights[at]))
-        })
+            let weight = on_line.map_or(SHUT, |at| self.weights[at]);
+            sum += f64::from(self.distinct(weight));
+            (ROOMY..=dearest.max(self.tight)).contains(&weight)
+        });
+        let line = f64::from(STRAIGHT) * cells * sum / (steps + 1.0);
+        is_cheap && line <= SAME_COST * f64::from(cost)
     }
 }
 
@@ -348,6 +365,10 @@ mod tests {
         let along = route(false, from, to);
         let farthest = along.iter().map(to_wall).fold(0.0, f64::max);
         assert!(farthest < 2.2 && length(&along) < 14.0, "{along:?}");
+        // The same from the middle of the hall, where the line begins on such ground anyway.
+        let (from, to) = (Point::new(6.0, 4.0), Point::new(11.0, 4.5));
+        let along = route(false, from, to);
+        assert!(along.iter().skip(1).map(to_wall).fold(0.0, f64::max) < 2.2, "{along:?}");
         // It does cross the hall if the way along the walls is more than twice as long.
         let (from, to) = (Point::new(6.0, 2.5), Point::new(6.0, 6.5));
         assert!(length(&route(false, from, to)) < 4.1);

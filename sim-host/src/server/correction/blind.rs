@@ -15,7 +15,7 @@ use ubimap_protocol::{
 
 use super::{
     booted::Booted,
-    drift::{Drift, FAR},
+    drift::Drift,
     odometry::{Reported, TurnScale, Variances},
 };
 use crate::{
@@ -51,6 +51,9 @@ const SURE: f64 = 0.02;
 /// Part of the way that a robot's pose goes to where the trajectories put it, with each view: a wrong match among them, which
 /// is taken back after some seconds, moves it little.
 const SETTLING: f64 = 0.2;
+/// Within this distance (m) and turn (11 degrees) of where a robot is believed to be, its pose follows what all robots'
+/// trajectories say; farther off they are wrong more often than right.
+const FAR: (f64, f64) = (0.5, 0.2);
 /// How far from the place where it is believed to be a robot that has booted is sought.
 const SOUGHT: Millimetres = Millimetres(800);
 

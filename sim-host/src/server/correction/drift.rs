@@ -4,7 +4,10 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
 use super::odometry::{Variances, off};
-use crate::mapping::Match;
+use crate::mapping::{
+    Match,
+    submaps::{is_within, motion},
+};
 
 /// How far off robots have drawn the map in blind ground: deviations in mm and rad (a degree).
 const MAP: Variances = Variances::of(50.0, 0.0175);
@@ -16,9 +19,8 @@ const GATE: f64 = 16.27;
 /// than its deviation may be wrong, and must not make it sure.
 const DOUBT: f64 = 0.5;
 
-/// Within this distance (m) and turn (11 degrees) of where a robot is believed to be, its pose follows what all robots'
-/// trajectories say; farther off they are wrong more often than right.
-pub(super) const FAR: (f64, f64) = (0.5, 0.2);
+/// From a place this far away (m), or turned by so much (40 degrees), a robot sees something else.
+const ELSEWHERE: (f64, f64) = (0.5, 0.7);
 
 /// The drift of a robot's pose in the map: a Kalman filter over its error, which grows with the way and is corrected by
 /// matches with what robots drew.
@@ -30,17 +32,24 @@ pub(super) struct Drift {
     /// Of x, y (mm) and heading (rad) in the map. A heading that goes wrong displaces the position on the way, so the
     /// three belong together.
     covariance: Matrix3<f64>,
+    /// Where the robot was when a match last told something new, and the number of matches since then: they are wrong
+    /// together, and count less and less.
+    alike: Option<(Pose, u32)>,
 }
 
 impl Drift {
     /// A robot that was just seen.
     pub(super) fn none() -> Self {
-        Self { covariance: diagonal(Variances::of(20.0, 0.009)) }
+        Self::of(Variances::of(20.0, 0.009))
     }
 
     /// A robot whose pose is as good as the map.
     pub(super) fn of_map() -> Self {
-        Self { covariance: diagonal(MAP) }
+        Self::of(MAP)
+    }
+
+    fn of(variances: Variances) -> Self {
+        Self { covariance: diagonal(variances), alike: None }
     }
 
     /// The robot has driven on by a way in the map (mm), and was followed by what it saw, or else has strayed by this
@@ -64,7 +73,12 @@ impl Drift {
         if distance > GATE {
             return None;
         }
-        let doubted = seen + DOUBT * off * off.transpose();
+        let alike = self
+            .alike
+            .filter(|(from, _)| is_within(&motion(*from).inv_mul(&motion(pose)), ELSEWHERE));
+        let (from, count) = alike.map_or((pose, 1), |(from, count)| (from, count + 1));
+        self.alike = Some((from, count));
+        let doubted = f64::from(count) * seen + DOUBT * off * off.transpose();
         let gain = self.covariance * (self.covariance + doubted).try_inverse()?;
         let left = Matrix3::identity() - gain;
         // Joseph's form stays symmetric and positive whatever is rounded.
@@ -108,12 +122,13 @@ mod tests {
     #[test]
     fn a_map_that_is_a_little_askew_pulls_a_pose_slowly() {
         let mut drift = Drift::none();
-        let mut pose = Pose::default();
-        let mut offs = Vec::new();
-        for _ in 0..30 {
-            drift.go(Vector2::zeros(), None);
-            pose = drift.correct(pose, &found(0.06, 0.0, 2.0)).unwrap();
-            offs.push((pose.x.0, pose.heading.degrees()));
+        let (mut off, mut offs) = (Pose::default(), Vec::new());
+        for way in (0..30).map(|it| 0.6 * f64::from(it)) {
+            drift.go(Vector2::new(600.0, 0.0), None);
+            let at = Pose { x: off.x + Millimetres((1_000.0 * way) as i32), ..off };
+            let pose = drift.correct(at, &found(way + 0.06, 0.0, 2.0)).unwrap();
+            off = Pose { x: off.x + pose.x - at.x, heading: pose.heading, ..off };
+            offs.push((off.x.0, off.heading.degrees()));
         }
         let (x, heading) = offs[0];
         assert!(x < 15 && heading < 0.6, "{offs:?}");
@@ -178,7 +193,7 @@ mod tests {
     #[test]
     fn a_match_is_believed_as_far_as_the_drift_explains_it() {
         let pose = Pose::from_metres(20.0, 0.0, 0.0);
-        // Half a metre to the side after 4 m, and after 20 m.
+        // 0.6 m to the side after 4 m, and after 20 m.
         assert_eq!(driven(20).correct(pose, &found(20.0, 0.6, 0.0)), None);
         let mut drift = driven(100);
         let aside = drift.correct(pose, &found(20.0, 0.6, 0.0)).unwrap();
@@ -186,6 +201,22 @@ mod tests {
         // It is not sure of that: another place may still be the right one.
         let back = drift.correct(aside, &found(20.0, 0.0, 0.0)).unwrap();
         assert!(back.y.0 < aside.y.0 / 2, "{aside:?} {back:?}");
+    }
+
+    #[test]
+    fn what_a_robot_that_stands_sees_again_and_again_counts_less_and_less() {
+        let sure = |way: f64| {
+            let (mut drift, mut pose) = (driven(100), Pose::default());
+            for view in 0..30 {
+                let at = Pose::from_metres(way * f64::from(view), 0.0, 0.0);
+                pose = drift.correct(at, &Match { pose: at, ..found(0.0, 0.0, 0.0) }).unwrap();
+            }
+            assert_eq!(pose.y.0, 0);
+            drift.covariance()[(1, 1)]
+        };
+        // The sum of 1 / n for 30 views is 4.
+        let (standing, driving) = (sure(0.0), sure(0.6));
+        assert!(standing > 6.0 * driving && standing < 8.5 * driving, "{standing} {driving}");
     }
 
     #[test]
