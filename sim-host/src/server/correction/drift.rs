@@ -4,10 +4,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
 use super::odometry::{Variances, off};
-use crate::mapping::{
-    Match,
-    submaps::{is_within, motion},
-};
+use crate::mapping::Match;
 
 /// How far off robots have drawn the map in blind ground: deviations in mm and rad (a degree).
 const MAP: Variances = Variances::of(50.0, 0.0175);
@@ -19,9 +16,6 @@ const GATE: f64 = 16.27;
 /// than its deviation may be wrong, and must not make it sure.
 const DOUBT: f64 = 0.5;
 
-/// From a place this far away (m), or turned by so much (40 degrees), a robot sees something else.
-const ELSEWHERE: (f64, f64) = (0.5, 0.7);
-
 /// The drift of a robot's pose in the map: a Kalman filter over its error, which grows with the way and is corrected by
 /// matches with what robots drew.
 ///
@@ -32,9 +26,6 @@ pub(super) struct Drift {
     /// Of x, y (mm) and heading (rad) in the map. A heading that goes wrong displaces the position on the way, so the
     /// three belong together.
     covariance: Matrix3<f64>,
-    /// Where the robot was when a match last told something new, and the number of matches since then: they are wrong
-    /// together, and count less and less.
-    alike: Option<(Pose, u32)>,
 }
 
 impl Drift {
@@ -49,7 +40,7 @@ impl Drift {
     }
 
     fn of(variances: Variances) -> Self {
-        Self { covariance: diagonal(variances), alike: None }
+        Self { covariance: diagonal(variances) }
     }
 
     /// The robot has driven on by a way in the map (mm), and was followed by what it saw, or else has strayed by this
@@ -73,12 +64,7 @@ impl Drift {
         if distance > GATE {
             return None;
         }
-        let alike = self
-            .alike
-            .filter(|(from, _)| is_within(&motion(*from).inv_mul(&motion(pose)), ELSEWHERE));
-        let (from, count) = alike.map_or((pose, 1), |(from, count)| (from, count + 1));
-        self.alike = Some((from, count));
-        let doubted = f64::from(count) * seen + DOUBT * off * off.transpose();
+        let doubted = seen + DOUBT * off * off.transpose();
         let gain = self.covariance * (self.covariance + doubted).try_inverse()?;
         let left = Matrix3::identity() - gain;
         // Joseph's form stays symmetric and positive whatever is rounded.
@@ -201,22 +187,6 @@ mod tests {
         // It is not sure of that: another place may still be the right one.
         let back = drift.correct(aside, &found(20.0, 0.0, 0.0)).unwrap();
         assert!(back.y.0 < aside.y.0 / 2, "{aside:?} {back:?}");
-    }
-
-    #[test]
-    fn what_a_robot_that_stands_sees_again_and_again_counts_less_and_less() {
-        let sure = |way: f64| {
-            let (mut drift, mut pose) = (driven(100), Pose::default());
-            for view in 0..30 {
-                let at = Pose::from_metres(way * f64::from(view), 0.0, 0.0);
-                pose = drift.correct(at, &Match { pose: at, ..found(0.0, 0.0, 0.0) }).unwrap();
-            }
-            assert_eq!(pose.y.0, 0);
-            drift.covariance()[(1, 1)]
-        };
-        // The sum of 1 / n for 30 views is 4.
-        let (standing, driving) = (sure(0.0), sure(0.6));
-        assert!(standing > 6.0 * driving && standing < 8.5 * driving, "{standing} {driving}");
     }
 
     #[test]
