@@ -34,3 +34,30 @@ impl Matches {
 pub(super) fn covariance(deviations: [f64; 3]) -> Matrix3<f64> {
     Matrix3::from_diagonal(&Vector3::from(deviations.map(|it| it * it)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mapping::submaps::Motion;
+
+    #[test]
+    fn a_hundred_matches_that_err_alike_make_a_piece_no_surer_than_one() {
+        let of = |steps: [f64; 3], matches: Vec<[f64; 3]>| Matches {
+            predicted: Measured { motion: Motion::identity(), covariance: covariance(steps) },
+            edges: Vec::new(),
+            covariances: matches.into_iter().map(covariance).collect(),
+        };
+        let near = |found: Matches, expected: [f64; 3]| {
+            let off = found.covariance().unwrap() - covariance(expected);
+            assert!(off.amax() < 1e-9, "{off}");
+        };
+        let (sure, unsure) = ([0.03, 0.03, 0.01], [0.3, 0.3, 0.1]);
+        near(of(sure, vec![sure; 100]), sure);
+        near(of(unsure, vec![sure, unsure]), sure);
+        near(of(sure, vec![unsure; 100]), sure);
+        assert_eq!(of(sure, Vec::new()).covariance(), None);
+        // Along a corridor, only the steps know.
+        let along = of(sure, vec![[9.0, 0.02, 0.01]]).covariance().unwrap();
+        assert!(along[(0, 0)].sqrt() < 0.05 && along[(1, 1)].sqrt() < 0.031, "{along}");
+    }
+}
