@@ -1,7 +1,7 @@
-//! How sure it is where a piece is: what a match may say of it.
+//! The uncertainty of a piece's pose, and the gate for its matches.
 //!
-//! The marginal covariances of the whole graph cost too much. Instead a piece is as sure as the last one before it that
-//! something else than steps held in place, and the steps since then.
+//! The marginal covariances of the whole graph cost too much. Instead the covariance is propagated along the robot's
+//! trajectory, from the last piece that cameras or matches hold in place.
 
 use nalgebra::Matrix3;
 
@@ -14,25 +14,24 @@ use crate::mapping::submaps::{Edge, Measured, Refined, difference};
 /// Squared Mahalanobis distance beyond which a match contradicts where the pieces are: chi-squared with three degrees of
 /// freedom at 99 %.
 const PLAUSIBLE: f64 = 11.3;
-/// What matches leave, however many there are, since the other pieces are off by this themselves: deviations in metres and
-/// radians.
+/// Minimum deviations (metres, radians) of a matched pose: the error of the other piece's own drawing.
 const LEFT: [f64; 3] = [0.03, 0.03, 0.01];
 
 impl Trajectories {
-    /// The pose of a piece in the map by the steps from the last piece before it that was held.
+    /// The pose of a piece in the graph. Its covariance in the map is propagated from the last held piece before it.
     pub(super) fn predicted(&self, number: usize) -> Measured {
         let pieces = &self.robots[&self.pieces[number].robot].pieces;
         self.followed(&pieces[..=pieces.partition_point(|it| *it < number)], false)
     }
 
-    /// The same, or as sure as the piece is held itself.
+    /// The pose of a piece in the graph, with its own covariance in the map if it is held, else as [`Self::predicted`].
     pub(super) fn believed(&self, number: usize) -> Measured {
         let pieces = &self.robots[&self.pieces[number].robot].pieces;
         self.followed(&pieces[..=pieces.partition_point(|it| *it < number)], true)
     }
 
-    /// The last of a robot's pieces, from the last one that is held, or from the first. `is_own` says whether the last one
-    /// counts among these.
+    /// Propagates the covariance to the last of a robot's pieces, from the newest held one, or from the first.
+    /// `is_own`: whether the last piece itself may be the held one.
     fn followed(&self, pieces: &[usize], is_own: bool) -> Measured {
         let last = pieces.len() - 1;
         let begin = (0..last + usize::from(is_own)).rev().find(|it| self.is_held(pieces[*it]));
@@ -48,15 +47,15 @@ impl Trajectories {
         followed
     }
 
-    /// Whether something else than steps holds a piece where the graph has it: one of its matches at least.
+    /// Whether cameras, or a match that agrees with the graph, hold a piece in place.
     fn is_held(&self, number: usize) -> bool {
         let piece = &self.pieces[number];
         let holds = |edge: &Edge| edge.distance(&self.graph.poses) <= PLAUSIBLE;
         piece.held.is_some() && (piece.is_seen || self.matches[number].iter().any(holds))
     }
 
-    /// Number of matches with other robots' pieces, or with those from before a piece was last held: what the robot has
-    /// seen since then is off as it is itself.
+    /// Number of independent matches: with other robots' pieces, or with pieces up to the last held one. Newer pieces of
+    /// the robot share its drift.
     pub(super) fn support(&self, number: usize, found: &Matches) -> usize {
         let robot = self.pieces[number].robot;
         let pieces = &self.robots[&robot].pieces;
@@ -67,7 +66,7 @@ impl Trajectories {
         found.edges.iter().filter(counts).count()
     }
 
-    /// With which covariance in the map a match with another piece puts one, if that is where it may be.
+    /// The covariance in the map that a match gives a piece. `None` if the match fails the gate.
     pub(super) fn plausible(
         &self,
         (number, predicted): (usize, &Measured),

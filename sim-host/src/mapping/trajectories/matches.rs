@@ -7,17 +7,16 @@ use crate::mapping::submaps::{Edge, Measured};
 /// The matches of a piece.
 #[derive(Debug)]
 pub(super) struct Matches {
-    /// Where the piece is without them.
+    /// The pose of the piece without these matches.
     pub(super) predicted: Measured,
     pub(super) edges: Vec<Edge>,
-    /// With which covariance in the map each puts the piece.
+    /// For each match, the covariance in the map that it gives the piece.
     pub(super) covariances: Vec<Matrix3<f64>>,
 }
 
 impl Matches {
-    /// How sure they make the piece: covariance of its pose in the map. Its steps and its matches err for the same
-    /// reasons, so that their information is not added (covariance intersection: Julier and Uhlmann 1997); the best match
-    /// counts. `None` without any.
+    /// The covariance of the piece's pose in the map, by covariance intersection of the steps and the best match (Julier
+    /// and Uhlmann 1997): their errors are correlated, so their information must not be added. `None` without matches.
     pub(super) fn covariance(&self) -> Option<Matrix3<f64>> {
         let steps = self.predicted.covariance.try_inverse()?;
         let both = |its: &Matrix3<f64>| {

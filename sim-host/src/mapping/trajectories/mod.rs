@@ -261,7 +261,7 @@ impl Trajectories {
         self.solving.is_some()
     }
 
-    /// A match with the whole map, which may be wrong, puts the newest view of a robot here.
+    /// Notes the pose of a robot's newest view by a match with the whole map, as a hypothesis for [`Self::advance`].
     pub fn suggest(&mut self, robot: RobotId, pose: Motion) {
         let Some(trajectory) = self.robots.get(&robot) else { return };
         let Some(&last) = trajectory.pieces.last() else { return };

@@ -24,12 +24,11 @@ impl Trajectories {
             let Some(trajectory) = self.robots.get(&robot) else { continue };
             // The newest piece of a robot that has not moved for long stays among the settled ones; it begins anew.
             let old = trajectory.pieces.partition_point(|it| *it < AT_ONCE);
+            let mut settled = trajectory.settled.clone();
+            trajectory.pieces[..old].iter().for_each(|&it| self.place(it, &mut settled));
             if let Some(&first) = trajectory.pieces.get(old) {
                 self.pieces[first].step = self.believed(first).covariance;
             }
-            let Some(trajectory) = self.robots.get(&robot) else { continue };
-            let mut settled = trajectory.settled.clone();
-            trajectory.pieces[..old].iter().for_each(|&it| self.place(it, &mut settled));
             if let Some(trajectory) = self.robots.get_mut(&robot) {
                 trajectory.settled = settled;
                 trajectory.pieces.drain(..old);

@@ -92,19 +92,21 @@ mod tests {
     use super::*;
     use crate::server::coordination::{
         frontiers::frontiers,
-        settings::Settings,
+        settings::{CrossingCosts, Settings},
         tests::plan::{Plan, drawn},
     };
 
     #[test]
     fn the_viewpoint_is_the_last_untried_one_on_the_way() {
-        let plan = Plan::room(8.0, 4.0);
+        let plan = Plan::room(8.0, 6.0);
         let ground = drawn(&plan, |x, _| x > 6.0);
-        let from = Point::new(1.0, 2.0);
-        let settings = Settings { view_m: 2.0, ..Settings::default() };
+        let from = Point::new(1.0, 3.0);
+        // Here a metre of driving costs the same everywhere.
+        let costs = CrossingCosts { empty: 2, ..CrossingCosts::default() };
+        let settings = Settings { view_m: 2.0, costs, ..Settings::default() };
         let (nearest_m, turn_m) = (settings.frontiers.nearest_m, settings.viewpoints.turn_m);
         let found = frontiers(&ground, &settings);
-        let off = |it: &&Frontier| (it.place.y - 2.0).abs();
+        let off = |it: &&Frontier| (it.place.y - 3.0).abs();
         let middle = found.iter().min_by(|a, b| off(a).total_cmp(&off(b))).unwrap();
         let view = |heading: f64, tried: &[Disc], is_in_the_way: &dyn Fn(Point) -> bool| {
             let in_the_way = (0..ground.len()).map(|at| is_in_the_way(ground.place(at))).collect();

@@ -66,7 +66,7 @@ impl<'a> Terrain<'a> {
             _ if !ground.is_trusted(at) => costs.unknown.min(MAX_WEIGHT),
             (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
             (wall, movable) if wall.min(movable) < roomy => costs.tight.min(MAX_WEIGHT),
-            // Cameras see where it is.
+            // Cameras localise the robot there.
             (wall, movable) if wall.min(movable) < landmarks || ground.is_covered(at) => ROOMY,
             _ => costs.empty.min(MAX_WEIGHT),
         };
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_keeps_to_what_it_can_be_localised_by_if_no_camera_sees_it() {
+    fn outside_camera_coverage_a_route_stays_near_walls() {
         let plan = Plan::room(12.0, 9.0);
         let route = |is_covered: bool, from, to| {
             let ground = plan.ground(is_covered);

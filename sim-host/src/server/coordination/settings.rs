@@ -239,8 +239,8 @@ pub struct CrossingCosts {
     pub tight: u8,
     /// Cost of ground last seen occupied by something movable.
     pub movable: u8,
-    /// Cost of ground that no camera sees, and from which a robot sees nothing by which it could be localised: twice
-    /// that of other open ground (coastal navigation: Roy et al. 1999).
+    /// Cost of open ground without landmarks: outside camera coverage, and farther than half of `range_m` from walls,
+    /// movable objects and unmapped ground. Twice the cost of other open ground (coastal navigation: Roy et al. 1999).
     pub empty: u8,
     /// Cost of unknown ground at the edge of known ground, on which a robot's own planner does not drive.
     pub unknown: u8,

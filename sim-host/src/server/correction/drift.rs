@@ -4,7 +4,10 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use ubimap_protocol::units::{Angle, Millimetres, Pose};
 
 use super::odometry::{Variances, off};
-use crate::mapping::Match;
+use crate::mapping::{
+    Match,
+    submaps::{Measured, Motion},
+};
 
 /// How far off robots have drawn the map in blind ground: deviations in mm and rad (a degree).
 const MAP: Variances = Variances::of(50.0, 0.0175);
@@ -46,9 +49,10 @@ impl Drift {
     /// The robot has driven on by a way in the map (mm), and was followed by what it saw, or else has strayed by this
     /// much.
     pub(super) fn go(&mut self, way: Vector2<f64>, strayed: Option<Variances>) {
-        let along = Matrix3::new(1.0, 0.0, -way.y, 0.0, 1.0, way.x, 0.0, 0.0, 1.0);
-        self.covariance =
-            along * self.covariance * along.transpose() + diagonal(strayed.unwrap_or(FOLLOWED));
+        let strayed = diagonal(strayed.unwrap_or(FOLLOWED));
+        let here = Measured { motion: Motion::identity(), covariance: self.covariance };
+        let step = Measured { motion: Motion::new(way, 0.0), covariance: strayed };
+        self.covariance = here.then(&step).covariance;
     }
 
     /// The covariance of the robot's pose in the map, of x, y (mm) and heading (rad).
@@ -90,7 +94,6 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     use super::*;
-    use crate::mapping::submaps::Motion;
 
     fn found(x: f64, y: f64, degrees: f64) -> Match {
         let pose = Pose::from_metres(x, y, degrees.to_radians());

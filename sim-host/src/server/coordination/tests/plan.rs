@@ -64,7 +64,7 @@ impl Plan {
         }
     }
 
-    /// The ground, all of which is known; cameras see all of it or nothing.
+    /// The fully mapped ground. Cameras cover either the whole floor or none of it.
     pub(in crate::server::coordination) fn ground(&self, is_covered: bool) -> Ground {
         let (mut fused, mut coverage) = (ServedLayer::default(), ServedLayer::default());
         set(&mut fused, self.places().map(|it| (it, self.cell(middle(it)))));
