@@ -369,7 +369,7 @@ fn a_fall_is_reported_once() {
 fn a_localised_robot_is_no_thing_and_its_cells_are_not_reported() {
     let mut studio = Studio::learnt(&[WALL]);
     let robot = [[1.0, 1.0, 0.0], [1.4, 1.3, 0.25]];
-    let footprint = Footprint { half_length: 200, half_width: 150 };
+    let footprint = Footprint { half_length: 200, half_width: 150, is_round: false };
     let pose = Pose::from_metres(1.2, 1.15, 0.0);
     let seen = studio.look_beside(&[robot], &[(footprint, pose)]);
     assert_eq!(seen.things, []);

@@ -9,6 +9,7 @@
 //! marker_size_m = 0.1          # side of the tag's black square, or of the colour marker
 //! height_m = 0.3               # height of the marker above the floor: the robot's top
 //! box_m = [0.4, 0.3]           # the robot's length and width; default: 0.4 by 0.4
+//! # diameter_m = 0.34          # of a round robot, instead of box_m: it passes narrower doors
 //! marker_at_m = [0.0, 0.0]     # the marker's centre, ahead of base_link and to its left
 //! marker_turn_deg = 0.0        # yaw of the marker relative to the robot, counter-clockwise
 //! # port = "/dev/ttyUSB0"      # for `ubimap serve` alone: the robot's own port
@@ -60,6 +61,9 @@ pub struct RegisteredRobot {
     pub height_m: f64,
     /// The robot's length and width.
     pub box_m: Option<[f64; 2]>,
+    /// The diameter of a robot that is round.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub diameter_m: Option<f64>,
     /// The marker's centre, ahead of `base_link` and to its left.
     #[serde(default)]
     pub marker_at_m: [f64; 2],
@@ -87,6 +91,7 @@ impl RegisteredRobot {
             marker_size_m,
             height_m,
             box_m: Some(box_m),
+            diameter_m: None,
             marker_at_m: [0.0; 2],
             marker_turn_deg: 0.0,
             port: None,
@@ -113,8 +118,10 @@ impl RegisteredRobot {
         let of_box = |[length, width]: [f64; 2]| Footprint {
             half_length: half(length),
             half_width: half(width),
+            is_round: self.diameter_m.is_some(),
         };
-        self.box_m.map(of_box).unwrap_or_default()
+        let sides = self.diameter_m.map(|diameter| [diameter; 2]).or(self.box_m);
+        sides.map(of_box).unwrap_or_default()
     }
 
     /// Describes the first invalid value, if any.
@@ -131,6 +138,14 @@ impl RegisteredRobot {
             return Some(format!(
                 "robot {id}: box_m: both sides must be above 0 and at most {MAX_SIZE_M}"
             ));
+        }
+        if self.diameter_m.is_some_and(|diameter| !is_size(diameter)) {
+            return Some(format!(
+                "robot {id}: diameter_m must be above 0 and at most {MAX_SIZE_M}"
+            ));
+        }
+        if self.diameter_m.is_some() && self.box_m.is_some() {
+            return Some(format!("robot {id}: has both box_m and diameter_m; remove one"));
         }
         if self.colours.is_some() && self.tag_id.is_some() {
             return Some(format!("robot {id}: has both tag_id and colours; remove one"));
@@ -250,10 +265,14 @@ mod tests {
         let (head, tail) = (Hue::Red, Hue::Blue);
         assert_eq!(coloured.identifier(), Identifier::Colours { head, tail });
         assert_eq!(coloured.mount().turn_rad, std::f64::consts::FRAC_PI_2);
-        let half = Footprint { half_length: 250, half_width: 150 };
+        let half = Footprint { half_length: 250, half_width: 150, is_round: false };
         let footprints: Vec<_> = registry.footprints().collect();
         assert_eq!(footprints, [(RobotId(1), Footprint::default()), (RobotId(2), half)]);
         assert_eq!(Registry::from_toml(&registry.to_toml()).unwrap(), registry);
+        let round =
+            Registry::from_toml(&TWO.replace("box_m = [0.5, 0.3]", "diameter_m = 0.34")).unwrap();
+        assert_eq!(round.robots[1].footprint().radius_m(), 0.17);
+        assert_eq!(Registry::from_toml(&round.to_toml()).unwrap(), round);
         assert_eq!(Registry::from_toml("").unwrap(), Registry::default());
     }
 
@@ -272,6 +291,8 @@ mod tests {
             ("height_m = 0.25", "height_m = nan", "robot 2: height_m: NaN must be above 0"),
             ("marker_size_m = 0.1", "marker_size_m = 100", "robot 1: marker_size_m: 100 must be"),
             ("[0.5, 0.3]", "[0.5, 0]", "robot 2: box_m"),
+            ("[0.5, 0.3]", "[0.5, 0.3]\ndiameter_m = 0.3", "both box_m and diameter_m; remove one"),
+            ("box_m = [0.5, 0.3]", "diameter_m = -1", "robot 2: diameter_m must be above 0"),
             ("id = 2", "id = 2\ntag_id = 3", "tag_id and colours; remove one"),
             ("id = 1", "id = 1\ntag_id = 587", "is not in family 36h11"),
             (

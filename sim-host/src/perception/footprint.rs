@@ -2,23 +2,31 @@
 
 use ubimap_protocol::units::{Millimetres, Pose};
 
-/// The rectangle that a robot covers, aligned with its heading.
+/// What a robot covers: a rectangle that is aligned with its heading, or the circle in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Footprint {
     /// Half the robot's length, in millimetres.
     pub half_length: u16,
     /// Half the robot's width, in millimetres.
     pub half_width: u16,
+    /// Whether the robot is round. It is masked as the rectangle, but needs no room for corners.
+    pub is_round: bool,
 }
 
 impl Default for Footprint {
     /// The default for an unknown robot: 40 x 40 cm.
     fn default() -> Self {
-        Self { half_length: 200, half_width: 200 }
+        Self { half_length: 200, half_width: 200, is_round: false }
     }
 }
 
 impl Footprint {
+    /// The distance of the robot's outermost point from its middle, in metres.
+    pub fn radius_m(self) -> f64 {
+        let [length, width] = [self.half_length, self.half_width].map(|it| f64::from(it) / 1000.0);
+        if self.is_round { length.max(width) } else { length.hypot(width) }
+    }
+
     /// The cells with sides of `side` whose centres are inside the rectangle at `pose`, or within
     /// `margin` of it.
     pub(crate) fn cells(

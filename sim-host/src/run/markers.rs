@@ -48,7 +48,7 @@ pub(super) fn robots(fleet: &Fleet<'_>) -> Vec<Marker> {
 
 /// Half the longer side of a robot.
 pub(super) fn radius_m(deployment: &Deployment, robot: RobotId) -> f64 {
-    let Footprint { half_length, half_width } = deployment.server().footprint(robot);
+    let Footprint { half_length, half_width, .. } = deployment.server().footprint(robot);
     f64::from(half_length.max(half_width)) / 1000.0
 }
 

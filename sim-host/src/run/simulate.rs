@@ -443,8 +443,9 @@ fn registered(robot: &RobotConfig) -> RegisteredRobot {
         MarkerConfig::Tag => (tag_id, None),
         MarkerConfig::Colour => (None, Some(robot.colours().map(|colour| Hue::ALL[colour]))),
     };
-    let box_m = box_m.unwrap_or([2.0 * radius_m; 2]);
-    RegisteredRobot { tag_id, colours, ..RegisteredRobot::new(id, marker_size_m, height_m, box_m) }
+    let diameter_m = box_m.is_none().then_some(2.0 * radius_m);
+    let usual = RegisteredRobot::new(id, marker_size_m, height_m, [0.0; 2]);
+    RegisteredRobot { tag_id, colours, box_m, diameter_m, ..usual }
 }
 
 /// Reads a ROS map that must have a yaw of 0.

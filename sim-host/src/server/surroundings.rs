@@ -145,7 +145,7 @@ impl Surroundings {
         let there =
             self.others(robot).filter(|(_, moment, _)| newest.since(*moment) <= ROBOT_PARKED);
         let peers = there.map(|(id, moment, pose)| {
-            let Footprint { half_length, half_width } = self.footprint(id);
+            let Footprint { half_length, half_width, .. } = self.footprint(id);
             let silent = newest.since(moment);
             let age = match silent <= POSE_STALE {
                 true => (silent.micros() / 10_000).min(255) as u8,

@@ -29,7 +29,7 @@ impl Body {
             return false;
         }
         let (sin, cos) = libm::sincos(self.pose.heading.radians());
-        let Footprint { half_length, half_width } = self.footprint;
+        let Footprint { half_length, half_width, .. } = self.footprint;
         let half = [half_length, half_width].map(|it| f64::from(it) / 1000.0 + MARGIN_M);
         let (x, y) = (self.pose.x.metres(), self.pose.y.metres());
         (0..=PLACES).any(|step| {
@@ -47,7 +47,7 @@ mod tests {
 
     #[test]
     fn a_robot_hides_the_floor_under_and_behind_it() {
-        let footprint = Footprint { half_length: 200, half_width: 100 };
+        let footprint = Footprint { half_length: 200, half_width: 100, is_round: false };
         let quarter = core::f64::consts::FRAC_PI_2;
         let robot = Body { footprint, pose: Pose::from_metres(2.0, 1.0, quarter), height_m: 0.3 };
         let from = Vector3::new(0.0, 1.0, 2.5);

@@ -107,8 +107,7 @@ impl Whereabouts {
 
     /// The circumscribed radius of the robot, in metres.
     pub(super) fn radius_m(&self) -> f64 {
-        let Footprint { half_length, half_width } = self.footprint;
-        Vector2::new(f64::from(half_length), f64::from(half_width)).norm() / 1000.0
+        self.footprint.radius_m()
     }
 }
 
