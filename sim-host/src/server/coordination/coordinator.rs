@@ -19,6 +19,7 @@ use super::{
     settings::Settings,
     situation::{GoalError, Notice, Passer, Situation},
     target::Tried,
+    walked::Walked,
 };
 use crate::server::command::Command;
 
@@ -38,6 +39,7 @@ pub struct Coordinator {
     pub(super) members: Vec<Member>,
     pub(super) reservations: Reservations,
     pub(super) ground: Option<Ground>,
+    pub(super) walked: Walked,
     pub(super) frontiers: Vec<Frontier>,
     /// Frontiers that could not be reached, or not be seen from a viewpoint.
     pub(super) tried: Vec<Tried>,
@@ -58,6 +60,7 @@ impl Coordinator {
         Self {
             settings,
             floor: None,
+            walked: Walked::default(),
             next_path: settings.first_path,
             members: Vec::new(),
             reservations: Reservations::default(),
@@ -206,7 +209,7 @@ impl Coordinator {
     /// Checks whether a goal is reachable on the known ground. Returns the robot's index.
     fn check(&self, robot: RobotId, goal: Point) -> Result<usize, GoalError> {
         let index = self.index(robot).map_err(|_| GoalError::UnknownRobot(robot))?;
-        let side_m = Millimetres(self.settings.resolution.0.max(1)).metres();
+        let side_m = self.settings.side_m();
         // The casts saturate.
         let [column, row] = [goal.x, goal.y].map(|metres| (metres / side_m).floor() as i32);
         if self.floor.as_ref().is_some_and(|floor| !floor.allows(column, row)) {
@@ -235,7 +238,8 @@ impl Coordinator {
         let Situation { fused, coverage, .. } = situation;
         self.ground =
             Ground::survey(fused, coverage, &trodden, self.floor.as_ref(), &self.settings);
-        let Some(ground) = &self.ground else { return };
+        let Some(ground) = &mut self.ground else { return };
+        ground.mark(&self.walked);
         // Routes are planned with some clearance, but kept until an obstacle is within the
         // robot's own radius.
         for (index, member) in self.members.iter().enumerate() {

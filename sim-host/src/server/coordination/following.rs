@@ -38,6 +38,8 @@ impl Coordinator {
     }
 
     fn see_again(&mut self, index: usize, robot: &Whereabouts, now: Instant) {
+        let side_m = self.settings.side_m();
+        self.walked.pass(self.members[index].place, robot.place(), side_m);
         let is_back = self.members[index].see(robot, &self.settings.following, now);
         let is_busy = self.members[index].explores || self.members[index].goal.is_some();
         let claim = self.reservations.claim_mut(index);

@@ -1,12 +1,9 @@
 //! The ground for route planning: known and blind cells, and distances to walls.
 
 use nalgebra::Point2;
-use ubimap_protocol::{
-    tile::{Cell, TILE_SIDE, TileId},
-    units::Millimetres,
-};
+use ubimap_protocol::tile::{Cell, TILE_SIDE, TileId};
 
-use super::{drivable::DrivableFloor, settings::Settings};
+use super::{drivable::DrivableFloor, settings::Settings, walked::Walked};
 use crate::mapping::ServedLayer;
 
 /// A position in `map`, in metres.
@@ -40,6 +37,8 @@ pub(super) struct Ground {
     covered: Vec<bool>,
     /// Whether the cell is known, or near a robot: a robot's own planner keeps its centre on known ground.
     trusted: Vec<bool>,
+    /// Whether a robot's centre has been there.
+    walked: Vec<bool>,
     /// Squared distances in cells, to the nearest wall (an occupied cell, or one deep in unknown
     /// ground) and to the nearest movable cell.
     walls: Vec<u32>,
@@ -60,7 +59,7 @@ impl Ground {
         floor: Option<&DrivableFloor>,
         settings: &Settings,
     ) -> Option<Self> {
-        let side_m = Millimetres(settings.resolution.0.max(1)).metres();
+        let side_m = settings.side_m();
         let extent = Extent::of(fused, middle(trodden, side_m), settings.survey.reach_tiles)?;
         let mut ground = Self::unknown(&extent, side_m);
         for id in extent.tiles() {
@@ -86,6 +85,7 @@ impl Ground {
             blind: vec![true; cells],
             covered: vec![false; cells],
             trusted: Vec::new(),
+            walked: vec![false; cells],
             walls: Vec::new(),
             movable: Vec::new(),
             floor: Vec::new(),
@@ -169,6 +169,14 @@ impl Ground {
         self.movable = squared_distances(&is_movable, self.width);
     }
 
+    /// Marks where robots have been.
+    pub(super) fn mark(&mut self, walked: &Walked) {
+        for at in walked.places(self.side_m).filter_map(|place| self.at(place)).collect::<Vec<_>>()
+        {
+            self.walked[at] = true;
+        }
+    }
+
     pub(super) fn len(&self) -> usize {
         self.cells.len()
     }
@@ -194,6 +202,11 @@ impl Ground {
     /// Whether a robot's own planner lets its centre be there, as far as walls allow it.
     pub(super) fn is_trusted(&self, at: usize) -> bool {
         self.trusted[at]
+    }
+
+    /// Whether a robot's centre has been there.
+    pub(super) fn is_walked(&self, at: usize) -> bool {
+        self.walked[at]
     }
 
     /// Whether the cell is unknown and out of view of the cameras.

@@ -46,6 +46,8 @@ pub(super) struct Terrain<'a> {
     weights: Vec<u8>,
     /// The cost factor of ground with little clearance.
     tight: u8,
+    /// Squared distance from walls, in cells, that the robot keeps except in narrow places.
+    least: u32,
 }
 
 impl<'a> Terrain<'a> {
@@ -60,18 +62,23 @@ impl<'a> Terrain<'a> {
         };
         let (least, roomy) = (squared(room_m), squared(room_m + settings.clearances.spare_m));
         let landmarks = squared(0.5 * settings.range_m);
+        let radius_m = room_m - settings.clearances.wall_m;
+        let narrow = squared(radius_m + settings.clearances.narrow_m);
+        // Where a robot has been, the wall stands farther away than it is drawn.
+        let walked = (radius_m / ground.side_m()).powi(2).ceil() as u32;
         let weight = |at| match (ground.to_wall(at), ground.to_movable(at)) {
-            (wall, _) if wall < least => SHUT,
+            (wall, _) if wall < narrow && !(wall >= walked && ground.is_walked(at)) => SHUT,
             // A robot that has drawn the cell itself, which the server has forgotten, may cross it.
             _ if !ground.is_trusted(at) => costs.unknown.min(MAX_WEIGHT),
             (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
+            (wall, _) if wall < least => costs.narrow.min(MAX_WEIGHT),
             (wall, movable) if wall.min(movable) < roomy => costs.tight.min(MAX_WEIGHT),
             // Cameras localise the robot there.
             (wall, movable) if wall.min(movable) < landmarks || ground.is_covered(at) => ROOMY,
             _ => costs.empty.min(MAX_WEIGHT),
         };
         let weights = (0..ground.len()).map(weight).collect();
-        Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT) }
+        Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT), least }
     }
 
     /// Raises the cost factor in a disc to `weight`, at most to [`MAX_WEIGHT`].
@@ -93,7 +100,12 @@ impl<'a> Terrain<'a> {
 
     /// Whether the robot may stand in a cell.
     pub(super) fn is_open(&self, at: usize) -> bool {
-        self.weights[at] != SHUT
+        self.weights[at] != SHUT && !self.is_narrow(at)
+    }
+
+    /// Whether the robot may cross the cell, but not stand there.
+    fn is_narrow(&self, at: usize) -> bool {
+        self.weights[at] != SHUT && self.ground.to_wall(at) < self.least
     }
 
     /// The cheapest routes from a place to all cells. `None` if the place is outside of the ground.
@@ -252,10 +264,10 @@ pub(super) struct Ways<'a> {
 }
 
 impl Ways<'_> {
-    /// The cost of the route to a cell, as metres of open ground. `None` if it is unreachable, or not on the floor that
-    /// robots may use.
+    /// The cost of the route to a cell, as metres of open ground. `None` if it is unreachable, not on the floor that
+    /// robots may use, or too narrow to stand there.
     pub(super) fn metres(&self, at: usize) -> Option<f64> {
-        if self.terrain.ground.to_floor(at) > 0 {
+        if self.terrain.ground.to_floor(at) > 0 || self.terrain.is_narrow(at) {
             return None;
         }
         let cost = *self.costs.get(at).filter(|cost| **cost < u32::MAX)?;
@@ -291,7 +303,10 @@ impl Ways<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::server::coordination::tests::plan::{Plan, drawn};
+    use crate::server::coordination::{
+        tests::plan::{Plan, drawn},
+        walked::Walked,
+    };
 
     /// A room of 6 m by 4 m, divided by a wall with a door of 1 m at its north end.
     fn with_a_wall() -> Plan {
@@ -330,6 +345,34 @@ mod tests {
             None,
             "the door is too narrow"
         );
+    }
+
+    #[test]
+    fn a_robot_may_go_where_one_has_been() {
+        let mut plan = Plan::room(6.0, 4.0);
+        plan.wall(2.9, 0.0, 3.1, 1.8);
+        plan.wall(2.9, 2.2, 3.1, 4.0);
+        let mut ground = drawn(&plan, |_, _| false);
+        let (from, to) = (Point::new(1.0, 1.0), Point::new(5.0, 1.0));
+        let settings = Settings::default();
+        let with_radius = |radius: f64| radius + settings.clearances.wall_m;
+        let route = |ground: &Ground, radius| {
+            Terrain::new(ground, with_radius(radius), &settings).route(from, to)
+        };
+        assert_eq!(route(&ground, 0.2), None, "the door is 0.4 m wide");
+        let mut walked = Walked::default();
+        let door = Point::new(3.0, 2.0);
+        for step in 0..20 {
+            let x = |step: i32| 2.5 + 0.05 * f64::from(step);
+            walked.pass(Point::new(x(step), door.y), Point::new(x(step + 1), door.y), 0.05);
+        }
+        ground.mark(&walked);
+        let narrow = route(&ground, 0.2).unwrap();
+        assert!(narrow.iter().all(|at| plan.room_around(*at) > 0.15), "{narrow:?}");
+        assert_eq!(route(&ground, 0.3), None, "a larger robot");
+        let terrain = Terrain::new(&ground, with_radius(0.2), &settings);
+        let (ways, at) = (terrain.everywhere(from).unwrap(), ground.at(door).unwrap());
+        assert!(ways.metres(at).is_none() && !terrain.is_open(at), "nobody stands in the door");
     }
 
     #[test]

@@ -62,6 +62,13 @@ impl Default for Settings {
     }
 }
 
+impl Settings {
+    /// The side length of the map's cells in metres, never 0.
+    pub(super) fn side_m(&self) -> f64 {
+        Millimetres(self.resolution.0.max(1)).metres()
+    }
+}
+
 /// Intervals between decisions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
@@ -97,6 +104,9 @@ pub struct Clearances {
     /// From walls, for planning: the 3 cm that a robot's own driver keeps, plus the error of walls
     /// drawn in cells of 5 cm.
     pub wall_m: f64,
+    /// From walls in doors and other narrow places, which are crossed where there is no cheap way around. Walls are
+    /// drawn up to a cell thicker than they are; the robot's own driver stops it if there is no room.
+    pub narrow_m: f64,
     /// Minimum additional clearance of ground that counts as open. Ground with less costs more, so
     /// that routes keep away from walls where possible.
     pub spare_m: f64,
@@ -112,7 +122,14 @@ pub struct Clearances {
 
 impl Default for Clearances {
     fn default() -> Self {
-        Self { wall_m: 0.08, spare_m: 0.1, route_m: 0.1, person_m: 0.1, trodden_m: 0.3 }
+        Self {
+            wall_m: 0.08,
+            narrow_m: 0.03,
+            spare_m: 0.1,
+            route_m: 0.1,
+            person_m: 0.1,
+            trodden_m: 0.3,
+        }
     }
 }
 
@@ -237,6 +254,8 @@ impl Default for GrantingRules {
 pub struct CrossingCosts {
     /// Cost of ground with little clearance: 1.5 times that of open ground.
     pub tight: u8,
+    /// Cost of ground that is crossed although walls are nearer than `wall_m`.
+    pub narrow: u8,
     /// Cost of ground last seen occupied by something movable.
     pub movable: u8,
     /// Cost of open ground without landmarks: outside camera coverage, and farther than half of `range_m` from walls,
@@ -260,6 +279,7 @@ impl Default for CrossingCosts {
     fn default() -> Self {
         Self {
             tight: 3,
+            narrow: 20,
             empty: 4,
             movable: 12,
             unknown: 40,
