@@ -9,10 +9,10 @@ use log::info;
 use ubimap_protocol::{
     message::DistanceVector,
     time::{Duration, Instant},
-    units::{Millimetres, RobotId},
+    units::RobotId,
 };
 
-use super::fleet::Fleet;
+use super::{fleet::Fleet, options::ReplayOptions};
 use crate::{
     grid::{GridError, OccupancyGrid},
     mapping::submaps::{GraphMapper, Motion, View, draw},
@@ -62,9 +62,8 @@ impl Received {
     /// [`GridError`] if the map is too large.
     pub(super) fn solve(
         self,
+        options: &ReplayOptions,
         starts: &[(Duration, Instant)],
-        range: Millimetres,
-        resolution: Millimetres,
     ) -> Result<GraphMap, GridError> {
         let count: usize = self.robots.iter().map(|(_, vectors)| vectors.len()).sum();
         info!("joining {count} distance vectors in a graph of submaps");
@@ -76,8 +75,12 @@ impl Received {
                 mapper.add(View::of(vector));
             }
         }
-        let (views, counts) = mapper.finish();
-        let tiles = draw(views.iter().map(|(view, pose)| (view, pose)), range.metres(), resolution);
+        let (mut views, counts) = mapper.finish();
+        // The graph's frame is that of the first view.
+        let start = views.first().map_or(Motion::identity(), |(view, _)| view.reported);
+        views.iter_mut().for_each(|(_, pose)| *pose = start * *pose);
+        let (range, resolution) = (options.max_range.metres(), options.resolution);
+        let tiles = draw(views.iter().map(|(view, pose)| (view, pose)), range, resolution);
         let map =
             OccupancyGrid::from_tiles(tiles.iter().map(|(id, tile)| (*id, tile)), resolution)?;
         let mut markers: Vec<Marker> = Vec::new();

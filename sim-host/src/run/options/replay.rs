@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use ubimap_protocol::units::Millimetres;
+use ubimap_protocol::units::{Millimetres, Pose};
 
 use super::{
     DepthUnit, RunOptions, SelectionOptions,
-    values::{max_range, resolution, robots},
+    values::{max_range, pose, resolution, robots},
 };
 use crate::recording::{DepthSlice, ExposureRule, Format, PixelModel, Slicing, UpAxis};
 
@@ -34,6 +34,11 @@ pub struct ReplayOptions {
     /// Maximum range that is mapped, in metres
     #[arg(long, help_heading = "Robots and map", value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
     pub max_range: Millimetres,
+
+    /// Where the robot of a log with odometry alone is at its first scan, in metres and degrees in the map's frame: the
+    /// map of a place that has one gets its frame
+    #[arg(long, help_heading = "Robots and map", value_name = "X,Y,DEG", default_value = "0,0,0", value_parser = pose, allow_hyphen_values = true)]
+    pub start: Pose,
 
     /// Which readings are mapped.
     #[command(flatten)]
