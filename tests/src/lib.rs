@@ -6,6 +6,7 @@ pub mod data;
 pub mod deployments;
 pub mod device_fuzz;
 pub mod disk;
+pub mod doubled_walls;
 pub mod elf;
 pub mod emulator;
 pub mod faulty_line;

@@ -1,13 +1,24 @@
 //! Logs with odometry alone: the map and the poses come from the server's graph of submaps.
 
-use std::{fs, path::Path};
+use std::{
+    fs::{self, File},
+    io::Read,
+    path::Path,
+};
 
 use clap::Parser;
+use flate2::read::GzDecoder;
 use nalgebra::{Isometry2, UnitComplex, Vector2};
-use ubimap_sim_host::run::{Outcome, options::ReplayOptions, replay};
-use ubimap_tests::data;
+use ubimap_sim_host::{
+    grid::compare,
+    run::{Outcome, options::ReplayOptions, replay},
+};
+use ubimap_tests::{data, doubled_walls::doubled};
 
 const LOG: &str = "intel_raw/intel_raw_2726.flaser.log.gz";
+/// The same building with poses by GMapping.
+const CORRECTED: &str = "carmen_corrected/intel-corrected.log.gz";
+const MINES: [&str; 2] = ["mines_coreslam/exp1.dat.gz", "mines_coreslam/exp2.dat.gz"];
 /// Options for a link that loses, duplicates, reorders and damages frames.
 const BAD_LINK: &str = "--loss 0.3 --duplicate 0.05 --reorder 0.1 --corrupt 0.02";
 
@@ -45,26 +56,31 @@ fn odometry(text: &str) -> Vec<Isometry2<f64>> {
     text.lines().map(step).collect()
 }
 
-/// The errors of poses: RMS of the position after the best rigid fit, and the mean errors of the motion
-/// from each pose to the next, in metres and degrees.
-fn errors(found: &[Isometry2<f64>], reference: &[Isometry2<f64>]) -> (f64, f64, f64) {
+/// The rigid motion that brings the positions of poses nearest to the reference's.
+fn fit(found: &[Isometry2<f64>], reference: &[Isometry2<f64>]) -> Isometry2<f64> {
     let mean = |poses: &[Isometry2<f64>]| {
         poses.iter().map(|it| it.translation.vector).sum::<Vector2<f64>>() / poses.len() as f64
     };
     let (middle, goal) = (mean(found), mean(reference));
     let (mut sin, mut cos) = (0.0, 0.0);
-    let pairs = || found.iter().zip(reference);
-    for (one, other) in pairs() {
+    for (one, other) in found.iter().zip(reference) {
         let (a, b) = (one.translation.vector - middle, other.translation.vector - goal);
         sin += a.x * b.y - a.y * b.x;
         cos += a.dot(&b);
     }
     let turn = UnitComplex::new(sin.atan2(cos));
+    Isometry2::from_parts((goal - turn * middle).into(), turn)
+}
+
+/// The errors of poses: RMS of the position after the best rigid fit, and the mean errors of the motion
+/// from each pose to the next, in metres and degrees.
+fn errors(found: &[Isometry2<f64>], reference: &[Isometry2<f64>]) -> (f64, f64, f64) {
+    let fit = fit(found, reference);
     let square = |(one, other): (&Isometry2<f64>, &Isometry2<f64>)| {
-        let off = turn * (one.translation.vector - middle) - (other.translation.vector - goal);
-        off.norm_squared()
+        ((fit * one).translation.vector - other.translation.vector).norm_squared()
     };
-    let rms = (pairs().map(square).sum::<f64>() / found.len() as f64).sqrt();
+    let squares = found.iter().zip(reference).map(square);
+    let rms = (squares.sum::<f64>() / found.len() as f64).sqrt();
     let steps = found.windows(2).zip(reference.windows(2)).map(|(one, other)| {
         let (a, b) = (one[0].inv_mul(&one[1]), other[0].inv_mul(&other[1]));
         let off = (a.translation.vector - b.translation.vector).norm();
@@ -113,9 +129,69 @@ fn a_robot_with_raw_odometry_is_found_within_bounds() {
              {:.1} bytes up per mapped scan; {graph}",
             up as f64 / mapped as f64
         );
+        if options.is_empty() {
+            score(&log, &fit(&found, &reference));
+        }
         assert!(rms <= 0.3, "{rms}");
         // Over the bad link three vectors in ten get lost.
         let most = if options == BAD_LINK { 2.0 } else { 1.0 };
         assert!(metres <= 0.1 && degrees <= most, "{metres} {degrees}");
     }
+}
+
+/// Prints how the map, drawn again from a start that brings it into the reference's frame by whole cells, agrees with the
+/// map of the corrected log. Their frames have no turn between them worth a cell.
+fn score(log: &Path, fit: &Isometry2<f64>) {
+    let Some(corrected) = data::file(CORRECTED) else { return };
+    let [x, y] = [fit.translation.x, fit.translation.y].map(|it| (it / 0.05).round() * 0.05);
+    let turn = fit.rotation.angle().to_degrees();
+    assert!(turn.abs() < 0.1, "{turn}");
+    let map = run(log, &format!("--start={x},{y},0")).map;
+    let reference = run(&corrected, "").map;
+    for cells in 1..=3 {
+        let f1 = compare(&map, &reference, Some(f64::from(cells) * 0.05)).f1;
+        println!("F1 against the map of the corrected log, at {cells} cells of 5 cm: {f1:.3}");
+        // Wanted: 0.9 at one cell.
+        assert!(f1 >= [0.6, 0.8, 0.9][cells as usize - 1], "{f1}");
+    }
+}
+
+/// Straight-through runs are thirds of a log: a robot that passes once draws no wall twice, but walls of two sides, and
+/// shelves, look so.
+#[test]
+#[ignore = "long: cargo thorough"]
+fn the_mines_robot_draws_no_wall_twice() {
+    let share = |(twice, all): (usize, usize)| twice as f64 / all as f64;
+    for name in MINES {
+        let Some(log) = data::file(name) else { return };
+        let outcome = run(&log, "");
+        let graph = outcome.report.graph.unwrap();
+        let whole = share(doubled(&outcome.map));
+        let straight = share(thirds(&log).fold((0, 0), |sums, third| {
+            let counts = doubled(&run(&third, "").map);
+            (sums.0 + counts.0, sums.1 + counts.1)
+        }));
+        println!(
+            "{name}: {:.1} % of the occupied cells have a parallel wall within 0.3 m; in thirds \
+             {:.1} %; {graph}",
+            100.0 * whole,
+            100.0 * straight
+        );
+        assert!(graph.is_sound(), "{graph}");
+        assert!(whole - straight <= 0.02, "{name}: {whole} {straight}");
+    }
+}
+
+/// The thirds of a log of lines, each as a file.
+fn thirds(log: &Path) -> impl Iterator<Item = std::path::PathBuf> {
+    let mut text = String::new();
+    GzDecoder::new(File::open(log).unwrap()).read_to_string(&mut text).unwrap();
+    let stem = log.file_name().unwrap().to_string_lossy().into_owned();
+    (0..3).map(move |third| {
+        let lines: Vec<_> = text.lines().collect();
+        let part = &lines[third * lines.len() / 3..(third + 1) * lines.len() / 3];
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{stem}-{third}"));
+        fs::write(&path, part.join("\n")).unwrap();
+        path
+    })
 }
