@@ -73,7 +73,7 @@ mod tests {
             tile.set(x, row + x / 7, Cell::Occupied);
         }
         let tiles = [(TileId { x: 0, y: 0 }, &tile)];
-        OccupancyGrid::from_tiles(tiles.into_iter(), Millimetres(50)).unwrap()
+        OccupancyGrid::from_tiles(tiles, Millimetres(50)).unwrap()
     }
 
     #[test]

@@ -222,6 +222,8 @@ pub struct DrivingSummary {
     pub blind_mapped: f64,
     /// Time in seconds at which 99 % of the blind ground were mapped; `None` if never.
     pub mapped_s: Option<f64>,
+    /// The longest time in seconds that a robot stayed within 0.15 m before that, or before the end.
+    pub stood_s: f64,
 }
 
 /// A digest, formatted as 16 hexadecimal digits.
@@ -389,11 +391,12 @@ impl Report {
             writeln!(
                 f,
                 "driving: {} collisions, {} touches; {:.1} m2 of reachable blind ground, \
-                 {:.1} % mapped, 99 % {mapped}",
+                 {:.1} % mapped, 99 % {mapped}; until then no robot stood longer than {:.0} s",
                 driving.collisions,
                 driving.touches,
                 driving.blind_m2,
-                100.0 * driving.blind_mapped
+                100.0 * driving.blind_mapped,
+                driving.stood_s
             )?;
         }
         if let Some(sighted) = self.sighted {

@@ -7,10 +7,10 @@ use ubimap_agent::drive::{DriveCommand, Driving, Gaze, Motion, SafetyLimits};
 use ubimap_protocol::{
     tile::{Cell as MapCell, TILE_SIDE, TileId},
     time::{Duration, Instant},
-    units::Millimetres,
+    units::{Millimetres, Pose},
 };
 
-use super::{fleet::Fleet, options::MotionName};
+use super::{fleet::Fleet, options::MotionName, scoring};
 use crate::{
     camera::FrameSource,
     grid::OccupancyGrid,
@@ -130,14 +130,22 @@ impl BlindGround {
     }
 
     /// The figures of the run.
-    pub(super) fn summary(&self, fleet: &Fleet<'_>, world: &World) -> DrivingSummary {
+    pub(super) fn summary(
+        &self,
+        fleet: &Fleet<'_>,
+        world: &World,
+        tracks: &[Vec<Pose>],
+    ) -> DrivingSummary {
         let (contacts, resolution) = (world.contacts(), fleet.deployment().resolution());
+        let until = self.mapped.get().unwrap_or(fleet.elapsed());
+        let stood = scoring::longest_stand(tracks, world.robots(), until);
         DrivingSummary {
             collisions: contacts.collisions,
             touches: contacts.touches,
             blind_m2: self.cells.len() as f64 * resolution.metres().powi(2),
             blind_mapped: self.known(fleet.server().fused()),
             mapped_s: self.mapped.get().map(|it| it.micros() as f64 / 1e6),
+            stood_s: stood.micros() as f64 / 1e6,
         }
     }
 }

@@ -14,7 +14,7 @@ use crate::{
     camera::FrameSource,
     grid::{self, OccupancyGrid},
     report::{self, Against, Caption, PoseErrors, TruthScores},
-    world::World,
+    world::{SimRobot, World},
 };
 
 /// Interval between two entries of a robot's true track.
@@ -25,6 +25,8 @@ const SETTLED: Duration = Duration::from_secs(5);
 /// Minimum speed of a robot that counts as driving, in m/s, and minimum turn rate in deg/s.
 const DRIVES_M_S: f64 = 0.05;
 const DRIVES_DEG_S: f64 = 5.0;
+/// A robot that has not left a place by this distance stands there, in metres.
+const STANDS_M: f64 = 0.15;
 /// Distance by which the tracked position of a walking person may lag, in metres: about half a
 /// second.
 const TRAIL_M: f64 = 0.6;
@@ -51,6 +53,28 @@ pub(super) fn position_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> Vec<(I
         })
     });
     errors.collect()
+}
+
+/// The longest time before `until` for which a robot that drives stayed within [`STANDS_M`] of one place.
+pub(super) fn longest_stand(
+    tracks: &[Vec<Pose>],
+    robots: &[SimRobot],
+    until: Duration,
+) -> Duration {
+    let end = (until.micros() / TRACK_INTERVAL.micros()) as usize;
+    let driving = tracks.iter().zip(robots).filter(|(_, robot)| robot.drives());
+    let longest = driving.map(|(track, _)| {
+        let (mut from, mut longest) = (0, 0);
+        for (now, pose) in track.iter().enumerate().take(end) {
+            let (dx, dy) = (pose.x - track[from].x, pose.y - track[from].y);
+            if dx.metres().hypot(dy.metres()) > STANDS_M {
+                from = now;
+            }
+            longest = longest.max(now - from);
+        }
+        longest
+    });
+    Duration(longest.max().unwrap_or(0) as u64 * TRACK_INTERVAL.micros())
 }
 
 /// Errors of the cameras' sightings of driving robots.

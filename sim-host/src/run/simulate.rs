@@ -174,7 +174,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     report.pose = Some(scoring::pose_errors(&fleet, stage.tracks()));
     let sighted = scoring::sighting_errors(&fleet, stage.tracks());
     report.sighted = (!options.ideal_cameras).then_some(sighted);
-    report.driving = Some(ground.summary(&fleet, stage.world()));
+    report.driving = Some(ground.summary(&fleet, stage.world(), stage.tracks()));
     report.vision = stage.vision().map(Vision::summary);
     report.changes = map_age.summary();
     report.risings = risings.summary();
