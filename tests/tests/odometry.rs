@@ -168,7 +168,9 @@ fn the_mines_robot_draws_no_wall_twice() {
         let graph = outcome.report.graph.unwrap();
         let whole = share(doubled(&outcome.map));
         let straight = share(thirds(&log).fold((0, 0), |sums, third| {
-            let counts = doubled(&run(&third, "").map);
+            let part = run(&third, "");
+            assert!(part.report.graph.unwrap().is_sound());
+            let counts = doubled(&part.map);
             (sums.0 + counts.0, sums.1 + counts.1)
         }));
         println!(

@@ -1,6 +1,6 @@
 //! Robots map real floor plans, of which cameras see little.
 //!
-//! `cargo plans` prints the table with eight robots and sixteen cameras, and with four and six; `UBIMAP_PLANS=office_b,lab_c`
+//! `cargo plans` prints the table, first with eight robots and sixteen cameras, then with four and six; `UBIMAP_PLANS=office_b,lab_c`
 //! chooses plans, `UBIMAP_SEEDS=3` more seeds, and `UBIMAP_ROBOTS=4` four robots only. A plan takes some four minutes.
 
 use std::{env, io::Write};

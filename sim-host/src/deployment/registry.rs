@@ -8,8 +8,8 @@
 //!                              # cyan, blue or magenta
 //! marker_size_m = 0.1          # side of the tag's black square, or of the colour marker
 //! height_m = 0.3               # height of the marker above the floor: the robot's top
-//! box_m = [0.4, 0.3]           # the robot's length and width; default: 0.4 by 0.4
-//! # diameter_m = 0.34          # of a round robot, instead of box_m: it passes narrower doors
+//! box_m = [0.4, 0.3]           # the robot's length and width; with neither of these two: 0.4 by 0.4
+//! # diameter_m = 0.34          # instead, of a round robot: it passes narrower doors
 //! marker_at_m = [0.0, 0.0]     # the marker's centre, ahead of base_link and to its left
 //! marker_turn_deg = 0.0        # yaw of the marker relative to the robot, counter-clockwise
 //! # port = "/dev/ttyUSB0"      # for `ubimap serve` alone: the robot's own port
@@ -59,7 +59,7 @@ pub struct RegisteredRobot {
     pub marker_size_m: f64,
     /// Height of the marker above the floor.
     pub height_m: f64,
-    /// The robot's length and width.
+    /// The robot's length and width, unless it is round.
     pub box_m: Option<[f64; 2]>,
     /// The diameter of a robot that is round.
     #[serde(skip_serializing_if = "Option::is_none")]

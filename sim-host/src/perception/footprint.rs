@@ -2,14 +2,15 @@
 
 use ubimap_protocol::units::{Millimetres, Pose};
 
-/// What a robot covers: a rectangle that is aligned with its heading, or the circle in it.
+/// What a robot covers: a rectangle that is aligned with its heading, or a circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Footprint {
     /// Half the robot's length, in millimetres.
     pub half_length: u16,
     /// Half the robot's width, in millimetres.
     pub half_width: u16,
-    /// Whether the robot is round. It is masked as the rectangle, but needs no room for corners.
+    /// Whether the robot is a circle, with both halves as its radius. It is masked as the square around it, but needs no
+    /// room for corners beside walls.
     pub is_round: bool,
 }
 
@@ -23,8 +24,12 @@ impl Default for Footprint {
 impl Footprint {
     /// The distance of the robot's outermost point from its middle, in metres.
     pub fn radius_m(self) -> f64 {
-        let [length, width] = [self.half_length, self.half_width].map(|it| f64::from(it) / 1000.0);
-        if self.is_round { length.max(width) } else { length.hypot(width) }
+        if self.is_round { f64::from(self.half_length) / 1000.0 } else { self.corner_m() }
+    }
+
+    /// The distance of the rectangle's corners from its middle, in metres.
+    pub fn corner_m(self) -> f64 {
+        f64::from(self.half_length).hypot(f64::from(self.half_width)) / 1000.0
     }
 
     /// The cells with sides of `side` whose centres are inside the rectangle at `pose`, or within

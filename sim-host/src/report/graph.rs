@@ -22,10 +22,10 @@ pub struct GraphSummary {
 }
 
 impl GraphSummary {
-    /// Whether the map may be drawn from the graph: at most one vector in ten was placed by odometry
+    /// Whether the map may be drawn from the graph: at most one vector in four was placed by odometry
     /// alone. Otherwise most submaps hang together by odometry, and the robots' own maps show more.
     pub fn is_sound(&self) -> bool {
-        10 * self.unmatched <= self.vectors
+        4 * self.unmatched <= self.vectors
     }
 }
 

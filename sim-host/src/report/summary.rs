@@ -222,7 +222,8 @@ pub struct DrivingSummary {
     pub blind_mapped: f64,
     /// Time in seconds at which 99 % of the blind ground were mapped; `None` if never.
     pub mapped_s: Option<f64>,
-    /// The longest time in seconds that a robot stayed within 0.15 m before that, or before the end.
+    /// The longest time in seconds that a robot stayed within 0.15 m before that, or before the end, be it that it turned or
+    /// had nothing left to do.
     pub stood_s: f64,
 }
 
@@ -391,7 +392,7 @@ impl Report {
             writeln!(
                 f,
                 "driving: {} collisions, {} touches; {:.1} m2 of reachable blind ground, \
-                 {:.1} % mapped, 99 % {mapped}; until then no robot stood longer than {:.0} s",
+                 {:.1} % mapped, 99 % {mapped}; a robot stood for {:.0} s at most",
                 driving.collisions,
                 driving.touches,
                 driving.blind_m2,

@@ -118,7 +118,7 @@ pub fn run(options: &MarkersOptions) -> Result<String, RunError> {
         let _ = write!(
             answer,
             "\n[[robots]]\nid = {id}\nmarker_size_m = {}\nheight_m = 0.3     # measure: from the floor to the marker\n\
-             box_m = [0.4, 0.4] # measure: the robot's length and width; a round one: diameter_m = 0.4\n",
+             box_m = [0.4, 0.4] # measure: the robot's length and width; for a round one, diameter_m = 0.4 instead\n",
             options.size / 1_000.0
         );
     }

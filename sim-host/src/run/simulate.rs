@@ -444,7 +444,8 @@ fn registered(robot: &RobotConfig) -> RegisteredRobot {
         MarkerConfig::Colour => (None, Some(robot.colours().map(|colour| Hue::ALL[colour]))),
     };
     let diameter_m = box_m.is_none().then_some(2.0 * radius_m);
-    let usual = RegisteredRobot::new(id, marker_size_m, height_m, [0.0; 2]);
+    let sides = box_m.unwrap_or([2.0 * radius_m; 2]);
+    let usual = RegisteredRobot::new(id, marker_size_m, height_m, sides);
     RegisteredRobot { tag_id, colours, box_m, diameter_m, ..usual }
 }
 

@@ -35,10 +35,10 @@ pub struct ReplayOptions {
     #[arg(long, help_heading = "Robots and map", value_name = "M", default_value = "4.0", value_parser = max_range, allow_negative_numbers = true)]
     pub max_range: Millimetres,
 
-    /// Where the robot of a log with odometry alone is at its first scan, in metres and degrees in the map's frame: the
-    /// map of a place that has one gets its frame
-    #[arg(long, help_heading = "Robots and map", value_name = "X,Y,DEG", default_value = "0,0,0", value_parser = pose, allow_hyphen_values = true)]
-    pub start: Pose,
+    /// Pose of the robot at the first scan of a log with odometry alone, in metres and degrees, so that the new map shares
+    /// the frame of an existing one [default: as the log's odometry]
+    #[arg(long, help_heading = "Robots and map", value_name = "X,Y,DEG", value_parser = pose, allow_hyphen_values = true)]
+    pub start: Option<Pose>,
 
     /// Which readings are mapped.
     #[command(flatten)]

@@ -19,7 +19,6 @@ use super::{
     settings::Settings,
     situation::{GoalError, Notice, Passer, Situation},
     target::Tried,
-    walked::Walked,
 };
 use crate::server::command::Command;
 
@@ -39,7 +38,6 @@ pub struct Coordinator {
     pub(super) members: Vec<Member>,
     pub(super) reservations: Reservations,
     pub(super) ground: Option<Ground>,
-    pub(super) walked: Walked,
     pub(super) frontiers: Vec<Frontier>,
     /// Frontiers that could not be reached, or not be seen from a viewpoint.
     pub(super) tried: Vec<Tried>,
@@ -60,7 +58,6 @@ impl Coordinator {
         Self {
             settings,
             floor: None,
-            walked: Walked::default(),
             next_path: settings.first_path,
             members: Vec::new(),
             reservations: Reservations::default(),
@@ -238,8 +235,7 @@ impl Coordinator {
         let Situation { fused, coverage, .. } = situation;
         self.ground =
             Ground::survey(fused, coverage, &trodden, self.floor.as_ref(), &self.settings);
-        let Some(ground) = &mut self.ground else { return };
-        ground.mark(&self.walked);
+        let Some(ground) = &self.ground else { return };
         // Routes are planned with some clearance, but kept until an obstacle is within the
         // robot's own radius.
         for (index, member) in self.members.iter().enumerate() {

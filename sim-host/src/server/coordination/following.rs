@@ -21,7 +21,7 @@ impl Coordinator {
                 Err(index) => {
                     self.members.insert(index, Member::new(robot));
                     self.reservations
-                        .insert(index, Claim::standing(robot.place(), robot.radius_m(), margin_m));
+                        .insert(index, Claim::standing(robot.place(), robot.corner_m(), margin_m));
                 }
             }
         }
@@ -38,12 +38,10 @@ impl Coordinator {
     }
 
     fn see_again(&mut self, index: usize, robot: &Whereabouts, now: Instant) {
-        let side_m = self.settings.side_m();
-        self.walked.pass(self.members[index].place, robot.place(), side_m);
         let is_back = self.members[index].see(robot, &self.settings.following, now);
         let is_busy = self.members[index].explores || self.members[index].goal.is_some();
         let claim = self.reservations.claim_mut(index);
-        claim.set_radius(robot.radius_m(), !is_busy && claim.is_at_end());
+        claim.set_radius(robot.corner_m(), !is_busy && claim.is_at_end());
         claim.advance(robot.place());
         if is_back {
             claim.forget_sent();

@@ -3,7 +3,7 @@
 use nalgebra::Point2;
 use ubimap_protocol::tile::{Cell, TILE_SIDE, TileId};
 
-use super::{drivable::DrivableFloor, settings::Settings, walked::Walked};
+use super::{drivable::DrivableFloor, settings::Settings};
 use crate::mapping::ServedLayer;
 
 /// A position in `map`, in metres.
@@ -37,8 +37,6 @@ pub(super) struct Ground {
     covered: Vec<bool>,
     /// Whether the cell is known, or near a robot: a robot's own planner keeps its centre on known ground.
     trusted: Vec<bool>,
-    /// Whether a robot's centre has been there.
-    walked: Vec<bool>,
     /// Squared distances in cells, to the nearest wall (an occupied cell, or one deep in unknown
     /// ground) and to the nearest movable cell.
     walls: Vec<u32>,
@@ -85,7 +83,6 @@ impl Ground {
             blind: vec![true; cells],
             covered: vec![false; cells],
             trusted: Vec::new(),
-            walked: vec![false; cells],
             walls: Vec::new(),
             movable: Vec::new(),
             floor: Vec::new(),
@@ -169,14 +166,6 @@ impl Ground {
         self.movable = squared_distances(&is_movable, self.width);
     }
 
-    /// Marks where robots have been.
-    pub(super) fn mark(&mut self, walked: &Walked) {
-        for at in walked.places(self.side_m).filter_map(|place| self.at(place)).collect::<Vec<_>>()
-        {
-            self.walked[at] = true;
-        }
-    }
-
     pub(super) fn len(&self) -> usize {
         self.cells.len()
     }
@@ -202,11 +191,6 @@ impl Ground {
     /// Whether a robot's own planner lets its centre be there, as far as walls allow it.
     pub(super) fn is_trusted(&self, at: usize) -> bool {
         self.trusted[at]
-    }
-
-    /// Whether a robot's centre has been there.
-    pub(super) fn is_walked(&self, at: usize) -> bool {
-        self.walked[at]
     }
 
     /// Whether the cell is unknown and out of view of the cameras.

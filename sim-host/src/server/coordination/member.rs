@@ -50,7 +50,7 @@ pub(super) struct Member {
     pub(super) sent: Instant,
     /// Heading in radians in `map`.
     pub(super) heading: f64,
-    pub(super) place: Point,
+    place: Point,
     still_at: Point,
     still_since: Instant,
     seen: Instant,

@@ -5,7 +5,6 @@
 //! | `settings` | | parameters, with the assumptions behind them |
 //! | `situation` | the server | the coordinator's input, and its notices |
 //! | `drivable` | the user | the floor that robots may use |
-//! | `walked` | the robots' places | where robots have been |
 //! | `ground` | the fused and the coverage layer | passable and blind ground |
 //! | `route` | the ground | cheapest routes |
 //! | `frontiers` | the ground | frontiers of unknown ground |
@@ -40,7 +39,6 @@ mod target;
 #[cfg(test)]
 mod tests;
 mod unexplored;
-mod walked;
 
 pub use coordinator::Coordinator;
 pub use drivable::{Area, AreaError, DrivableFloor};

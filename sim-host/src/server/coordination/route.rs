@@ -62,16 +62,14 @@ impl<'a> Terrain<'a> {
         };
         let (least, roomy) = (squared(room_m), squared(room_m + settings.clearances.spare_m));
         let landmarks = squared(0.5 * settings.range_m);
-        let radius_m = room_m - settings.clearances.wall_m;
-        let narrow = squared(radius_m + settings.clearances.narrow_m);
-        // Where a robot has been, the wall stands farther away than it is drawn.
-        let walked = (radius_m / ground.side_m()).powi(2).ceil() as u32;
+        let (wall_m, narrow_m) = (settings.clearances.wall_m, settings.clearances.narrow_m);
+        let narrow = squared(room_m - wall_m + narrow_m);
         let weight = |at| match (ground.to_wall(at), ground.to_movable(at)) {
-            (wall, _) if wall < narrow && !(wall >= walked && ground.is_walked(at)) => SHUT,
+            (wall, _) if wall < narrow => SHUT,
             // A robot that has drawn the cell itself, which the server has forgotten, may cross it.
             _ if !ground.is_trusted(at) => costs.unknown.min(MAX_WEIGHT),
-            (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
             (wall, _) if wall < least => costs.narrow.min(MAX_WEIGHT),
+            (_, movable) if movable < least => costs.movable.min(MAX_WEIGHT),
             (wall, movable) if wall.min(movable) < roomy => costs.tight.min(MAX_WEIGHT),
             // Cameras localise the robot there.
             (wall, movable) if wall.min(movable) < landmarks || ground.is_covered(at) => ROOMY,
@@ -103,7 +101,7 @@ impl<'a> Terrain<'a> {
         self.weights[at] != SHUT && !self.is_narrow(at)
     }
 
-    /// Whether the robot may cross the cell, but not stand there.
+    /// Whether the robot may cross the cell, but is not sent to stand there.
     fn is_narrow(&self, at: usize) -> bool {
         self.weights[at] != SHUT && self.ground.to_wall(at) < self.least
     }
@@ -303,10 +301,7 @@ impl Ways<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::server::coordination::{
-        tests::plan::{Plan, drawn},
-        walked::Walked,
-    };
+    use crate::server::coordination::tests::plan::{Plan, drawn};
 
     /// A room of 6 m by 4 m, divided by a wall with a door of 1 m at its north end.
     fn with_a_wall() -> Plan {
@@ -348,31 +343,26 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_may_go_where_one_has_been() {
+    fn a_narrow_door_is_passed_where_there_is_no_other_but_nobody_stands_in_it() {
         let mut plan = Plan::room(6.0, 4.0);
         plan.wall(2.9, 0.0, 3.1, 1.8);
-        plan.wall(2.9, 2.2, 3.1, 4.0);
-        let mut ground = drawn(&plan, |_, _| false);
-        let (from, to) = (Point::new(1.0, 1.0), Point::new(5.0, 1.0));
+        plan.wall(2.9, 2.25, 3.1, 3.2);
         let settings = Settings::default();
-        let with_radius = |radius: f64| radius + settings.clearances.wall_m;
-        let route = |ground: &Ground, radius| {
-            Terrain::new(ground, with_radius(radius), &settings).route(from, to)
+        let (from, to) = (Point::new(1.0, 1.0), Point::new(5.0, 1.0));
+        let route = |plan: &Plan, radius: f64| {
+            let ground = drawn(plan, |_, _| false);
+            let terrain = Terrain::new(&ground, radius + settings.clearances.wall_m, &settings);
+            let door = ground.at(Point::new(3.0, 2.0)).unwrap();
+            let ways = terrain.everywhere(from).unwrap();
+            assert!(ways.metres(door).is_none() && !terrain.is_open(door));
+            terrain.route(from, to)
         };
-        assert_eq!(route(&ground, 0.2), None, "the door is 0.4 m wide");
-        let mut walked = Walked::default();
-        let door = Point::new(3.0, 2.0);
-        for step in 0..20 {
-            let x = |step: i32| 2.5 + 0.05 * f64::from(step);
-            walked.pass(Point::new(x(step), door.y), Point::new(x(step + 1), door.y), 0.05);
-        }
-        ground.mark(&walked);
-        let narrow = route(&ground, 0.2).unwrap();
-        assert!(narrow.iter().all(|at| plan.room_around(*at) > 0.15), "{narrow:?}");
-        assert_eq!(route(&ground, 0.3), None, "a larger robot");
-        let terrain = Terrain::new(&ground, with_radius(0.2), &settings);
-        let (ways, at) = (terrain.everywhere(from).unwrap(), ground.at(door).unwrap());
-        assert!(ways.metres(at).is_none() && !terrain.is_open(at), "nobody stands in the door");
+        let around = route(&plan, 0.15).unwrap();
+        assert!(around.iter().any(|at| at.y > 3.2), "the wide door is near: {around:?}");
+        plan.wall(2.9, 3.2, 3.1, 4.0);
+        let narrow = route(&plan, 0.15).unwrap();
+        assert!(narrow.iter().all(|at| plan.room_around(*at) > 0.19), "{narrow:?}");
+        assert_eq!(route(&plan, 0.2), None, "the door is 0.45 m wide");
     }
 
     #[test]

@@ -104,8 +104,8 @@ pub struct Clearances {
     /// From walls, for planning: the 3 cm that a robot's own driver keeps, plus the error of walls
     /// drawn in cells of 5 cm.
     pub wall_m: f64,
-    /// From walls in doors and other narrow places, which are crossed where there is no cheap way around. Walls are
-    /// drawn up to a cell thicker than they are; the robot's own driver stops it if there is no room.
+    /// From walls in doors and other narrow places, which are crossed where there is no cheap way around: what the
+    /// robots' own planner asks for, its 3 cm and half the diagonal of a cell.
     pub narrow_m: f64,
     /// Minimum additional clearance of ground that counts as open. Ground with less costs more, so
     /// that routes keep away from walls where possible.
@@ -124,7 +124,7 @@ impl Default for Clearances {
     fn default() -> Self {
         Self {
             wall_m: 0.08,
-            narrow_m: 0.03,
+            narrow_m: 0.065,
             spare_m: 0.1,
             route_m: 0.1,
             person_m: 0.1,

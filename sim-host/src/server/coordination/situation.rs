@@ -105,9 +105,14 @@ impl Whereabouts {
         Point::new(self.pose.x.metres(), self.pose.y.metres())
     }
 
-    /// The circumscribed radius of the robot, in metres.
+    /// The room that the robot needs beside walls, in metres.
     pub(super) fn radius_m(&self) -> f64 {
         self.footprint.radius_m()
+    }
+
+    /// The room that other robots leave it, in metres: they know its length and width alone.
+    pub(super) fn corner_m(&self) -> f64 {
+        self.footprint.corner_m()
     }
 }
 
