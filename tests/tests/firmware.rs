@@ -186,8 +186,8 @@ fn wait_for_pose(station: &mut Station, pose: Pose, patience: Duration) {
         };
         assert_eq!(found, pose);
         assert!(time <= station.now() && station.now().since(time).micros() < 500_000, "{time:?}");
-        assert_eq!(time.micros() % CAPTURE_INTERVAL.micros(), 0, "{time:?} is not a capture time");
-        true
+        // The first poses may be told with a better estimate of the clocks' difference than they were received with.
+        time.micros().is_multiple_of(CAPTURE_INTERVAL.micros())
     });
 }
 
