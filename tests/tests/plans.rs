@@ -34,7 +34,7 @@ struct CommandLine {
 }
 
 #[test]
-#[ignore = "takes an hour: cargo plans"]
+#[ignore = "takes more than an hour: cargo plans"]
 fn robots_map_floor_plans() {
     let only = env::var("UBIMAP_ROBOTS").ok();
     let is_chosen = |robots: &str| only.as_ref().is_none_or(|only| only == robots);
