@@ -5,20 +5,42 @@ use core::f64::consts::TAU;
 use libm::{cos, sin};
 use ubimap_protocol::message::{DistanceVector, MAX_COLUMNS};
 
+/// How far towards its nearer side the nearest reading of a column is, as a share of the column. That is right for 2.5
+/// beams per column; for one it would be 0, for five 0.4, for very many 0.5.
+pub const NEARER: f64 = 0.3;
+
+/// The reading of a column of a distance vector.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading {
+    /// The index of the column.
+    pub column: usize,
+    /// The distance in millimetres.
+    pub distance: f64,
+    /// The bearing in `base_link`, in radians.
+    pub bearing: f64,
+    /// By how much the bearing grows with [`NEARER`], in radians; 0 in a column of one beam.
+    pub lean: f64,
+}
+
 /// The points of a distance vector, in millimetres in `base_link`.
-///
-/// A column that merges several beams holds their nearest reading, which comes from the side of the
-/// column where the surface is nearer. So the point is moved to that side by 0.3 of a column, which
-/// is right for 2.5 beams per column (for very many beams it would be 0.45). Sensors with more
-/// beams than columns are assumed to have a few per column.
 pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
+    let point = |it: Reading| [it.distance * cos(it.bearing), it.distance * sin(it.bearing)];
+    readings(vector).map(point).collect()
+}
+
+/// The readings of a distance vector, by column.
+///
+/// A column that merges several beams holds their nearest reading, which comes from the side of the column where the surface
+/// is nearer. So its bearing is moved to that side. Sensors with more beams than columns are assumed to have a few per
+/// column.
+pub fn readings(vector: &DistanceVector) -> impl Iterator<Item = Reading> {
     let merged = vector.distances.len() == MAX_COLUMNS;
     let reading = |column: usize| match vector.distances.get(column) {
         None | Some(&(0 | DistanceVector::BEYOND)) => None,
         Some(&units) => Some(i32::from(units)),
     };
     let columns = 0..vector.distances.len();
-    let found = columns.filter_map(|column| {
+    columns.filter_map(move |column| {
         let here = reading(column)?;
         // A jump in distance separates surfaces, so the column beyond it does not count as a
         // neighbour. From a column to the next, a wall that is seen at 10 degrees recedes by a
@@ -34,11 +56,13 @@ pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
             (None, Some(after)) => 2 * (after - here),
             (None, None) => 0,
         };
-        let side = if merged { -0.3 * f64::from(slope.clamp(-4, 4)) / 4.0 } else { 0.0 };
-        let bearing = vector.first.radians()
-            + (column as f64 + side) * f64::from(vector.step) * TAU / 65_536.0;
-        let distance = f64::from(here * DistanceVector::UNIT.0);
-        Some([distance * cos(bearing), distance * sin(bearing)])
-    });
-    found.collect()
+        let side = if merged { -f64::from(slope.clamp(-4, 4)) / 4.0 } else { 0.0 };
+        let step = f64::from(vector.step) * TAU / 65_536.0;
+        Some(Reading {
+            column,
+            distance: f64::from(here * DistanceVector::UNIT.0),
+            bearing: vector.first.radians() + (column as f64 + NEARER * side) * step,
+            lean: side * step,
+        })
+    })
 }

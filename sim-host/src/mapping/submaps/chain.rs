@@ -108,7 +108,7 @@ impl Chain {
 /// The motion between two poses that a robot reported. Four times as uncertain as wheels with encoders
 /// ([`OdometryNoise`](ubimap_agent::locate::OdometryNoise)), as nothing is known about the wheels, and
 /// more in the heading: that of the Intel log is off by 10 degrees after 3 m, and by 17 after 5 m.
-fn driven(from: &Motion, to: &Motion) -> Measured {
+pub(super) fn driven(from: &Motion, to: &Motion) -> Measured {
     let motion = from.inv_mul(to);
     let way = motion.translation.vector.norm();
     let turn = motion.rotation.angle().abs();

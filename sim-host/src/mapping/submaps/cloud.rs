@@ -1,6 +1,5 @@
 //! Points on surfaces, with the surfaces' normals, found by their positions.
 
-use core::ops::Range;
 use std::collections::HashMap;
 
 use nalgebra::{Point2, Vector2};
@@ -58,8 +57,6 @@ pub struct Cloud {
     /// The indices of the surfels in each square. They are looked up, never walked through, so the
     /// order of the map does not matter.
     squares: HashMap<(i32, i32), Vec<u32>>,
-    /// The surfels that look-ups leave out.
-    hidden: Range<u32>,
 }
 
 impl Cloud {
@@ -77,25 +74,20 @@ impl Cloud {
         &self.surfels
     }
 
-    /// Leaves these surfels, by their order, out of what is matched from now on.
-    pub(super) fn hide(&mut self, hidden: Range<u32>) {
-        self.hidden = hidden;
-    }
-
     /// Whether there are surfels about a surfel.
     pub fn is_beside(&self, surfel: &Surfel) -> bool {
         self.around(surfel.at).next().is_some()
     }
 
-    /// The surfels in the nine squares around a point: all within [`SQUARE_M`], and some beyond.
-    pub(super) fn around(&self, at: Vector2<f64>) -> impl Iterator<Item = &Surfel> {
+    /// The surfels in the nine squares around a point, with their places in the order: all within [`SQUARE_M`], and some
+    /// beyond.
+    pub(super) fn around(&self, at: Vector2<f64>) -> impl Iterator<Item = (usize, &Surfel)> {
         let (x, y) = square(at);
         let squares = (-1..=1).flat_map(move |dy| (-1..=1).map(move |dx| (x + dx, y + dy)));
         squares
             .filter_map(|square| self.squares.get(&square))
             .flatten()
-            .filter(|index| !self.hidden.contains(index))
-            .filter_map(|&index| self.surfels.get(index as usize))
+            .filter_map(|&index| Some((index as usize, self.surfels.get(index as usize)?)))
     }
 }
 

@@ -1,13 +1,12 @@
 //! The graph of a chain of submaps.
 
-use nalgebra::{Matrix3, Vector3};
+use log::debug;
 
 use super::{
-    chain::Chain,
-    cloud::Cloud,
+    chain::{Chain, driven},
     loops::{Loop, Loops, align},
     pose_graph::{Edge, PoseGraph},
-    refinement::refine,
+    registration::register,
     rigid::Motion,
     view::View,
 };
@@ -20,8 +19,6 @@ const NEAR_M: f64 = 4.0;
 const MATCHED: usize = 20;
 /// Search window of a match: a fixed part, and the greatest, in metres and radians.
 const WINDOW: [(f64, f64); 2] = [(0.15, 0.05), (5.0, 0.8)];
-/// Information with which the last refinement holds each view where it is: 5 cm and 2 degrees.
-const HOLD: (f64, f64) = (400.0, 1_000.0);
 
 /// Numbers about a graph.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -69,7 +66,11 @@ impl GraphMapper {
         }
         let counts = self.counts();
         let mut poses = self.poses();
-        self.refine_views(&mut poses);
+        let reported = self.chain.views.windows(2);
+        let steps: Vec<_> =
+            reported.map(|pair| driven(&pair[0].reported, &pair[1].reported)).collect();
+        let columns = register(&mut self.chain.views, &steps, &mut poses);
+        debug!("readings are {:.2} of a column beside its middle", columns.nearer());
         (self.chain.views.into_iter().zip(poses).collect(), counts)
     }
 
@@ -150,103 +151,16 @@ impl GraphMapper {
         self.graph.edges.extend(accepted);
         self.graph.solve();
     }
-
-    /// Refines the pose of each view against what all others saw: submaps are rigid, but their views
-    /// are not quite where they were placed.
-    fn refine_views(&self, poses: &mut [Motion]) {
-        let mut cloud = Cloud::default();
-        let mut starts = vec![0];
-        for (view, pose) in self.chain.views.iter().zip(poses.iter()) {
-            cloud.extend(view.surfels.iter().map(|surfel| surfel.moved(pose)));
-            starts.push(cloud.surfels().len() as u32);
-        }
-        let hold = Matrix3::from_diagonal(&Vector3::new(HOLD.0, HOLD.0, HOLD.1));
-        for ((view, pose), ends) in self.chain.views.iter().zip(poses).zip(starts.windows(2)) {
-            cloud.hide(ends[0]..ends[1]);
-            let before = *pose;
-            if let Some(refined) = refine(&cloud, &view.surfels, &before, Some((&before, &hold))) {
-                *pose = refined.motion;
-            }
-        }
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector2;
-    use ubimap_protocol::{message::DistanceVector, time::Instant, units::Angle};
 
-    use super::{super::rigid::pose, *};
-
-    /// The walls of a corridor of 2 m around a block of 8 by 5 m, with niches at irregular places.
-    fn walls() -> Vec<[f64; 4]> {
-        let mut walls = Vec::new();
-        let ring =
-            |walls: &mut Vec<[f64; 4]>, corners: [[f64; 2]; 4], depth: f64, starts: [f64; 4]| {
-                for side in 0..4 {
-                    let (from, to) = (corners[side], corners[(side + 1) % 4]);
-                    let length = (to[0] - from[0]).hypot(to[1] - from[1]);
-                    let along = [(to[0] - from[0]) / length, (to[1] - from[1]) / length];
-                    let place = |way: f64, off: f64| {
-                        [
-                            from[0] + along[0] * way + along[1] * off,
-                            from[1] + along[1] * way - along[0] * off,
-                        ]
-                    };
-                    let (start, end) = (starts[side], starts[side] + 0.9);
-                    let ways = [
-                        (0.0, 0.0),
-                        (start, 0.0),
-                        (start, depth),
-                        (end, depth),
-                        (end, 0.0),
-                        (length, 0.0),
-                    ];
-                    for pair in ways.windows(2) {
-                        let [a, b] = [place(pair[0].0, pair[0].1), place(pair[1].0, pair[1].1)];
-                        walls.push([a[0], a[1], b[0], b[1]]);
-                    }
-                }
-            };
-        ring(
-            &mut walls,
-            [[-1.0, -1.0], [11.0, -1.0], [11.0, 8.0], [-1.0, 8.0]],
-            0.5,
-            [2.0, 5.5, 3.1, 1.7],
-        );
-        ring(
-            &mut walls,
-            [[1.0, 1.0], [9.0, 1.0], [9.0, 6.0], [1.0, 6.0]],
-            -0.4,
-            [4.7, 2.2, 1.3, 3.0],
-        );
-        walls
-    }
-
-    /// What a sensor with 64 columns over 180 degrees sees.
-    fn seen(walls: &[[f64; 4]], truth: &Motion, reported: &Motion, time: u64) -> View {
-        let distances = (0..64).map(|column| {
-            let angle = (f64::from(column) - 31.5) * 512.0 / 65_536.0 * core::f64::consts::TAU;
-            let way = truth.rotation * Vector2::new(angle.cos(), angle.sin());
-            let at = truth.translation.vector;
-            let ranges = walls.iter().filter_map(|&[x0, y0, x1, y1]| {
-                let (side, from) = (Vector2::new(x1 - x0, y1 - y0), Vector2::new(x0, y0) - at);
-                let cross = |a: Vector2<f64>, b: Vector2<f64>| a.x * b.y - a.y * b.x;
-                let size = cross(way, side);
-                let (range, part) = (cross(from, side) / size, cross(from, way) / size);
-                (range > 0.0 && (0.0..=1.0).contains(&part)).then_some(range)
-            });
-            (ranges.fold(9.0, f64::min) / 0.02).round().min(255.0) as u8
-        });
-        View::of(&DistanceVector {
-            time: Instant(time * 1_000_000),
-            pose: pose(reported),
-            first: Angle((-31.5f64 * 512.0) as i32 as u16),
-            step: 512,
-            distances: distances.collect(),
-            odometry: None,
-        })
-    }
+    use super::{
+        super::tests::{seen, walls},
+        *,
+    };
 
     /// Two rounds through a corridor, with odometry that turns by 4 degrees too much each metre.
     #[test]
@@ -263,7 +177,7 @@ mod tests {
             })
             .enumerate()
         {
-            mapper.add(seen(&walls, &truth, &reported, index as u64));
+            mapper.add(seen(64, &walls, &truth, &reported, index as u64));
             truths.push(truth);
             let (way, slip) = if turn == 0.0 { (0.25, 1.0f64) } else { (0.0, 0.5) };
             truth *= Motion::new(Vector2::new(way, 0.0), turn.to_radians());
@@ -280,6 +194,6 @@ mod tests {
         println!("{counts:?}; odometry off by {drift:.2} m, the graph by at most {worst:?}");
         assert!(drift > 3.0, "{drift}");
         assert!(counts.consistent >= 5, "{counts:?}");
-        assert!(worst.0 < 0.2 && worst.1 < 0.04, "{worst:?}");
+        assert!(worst.0 < 0.1 && worst.1 < 0.01, "{worst:?}");
     }
 }

@@ -12,12 +12,14 @@
 //!    if no other place fits as well.
 //! 4. Only the largest set of [mutually consistent](largest_consistent) matches enters the graph, with
 //!    robust weights. A match that later turns out to contradict the others leaves it again.
+//! 5. At the end all views are [registered](registration) with each other, and the sensor's [columns] are calibrated.
 //!
 //! Everything is deterministic. Units are metres and radians.
 
 mod bit_plane;
 mod chain;
 mod cloud;
+mod columns;
 mod consistency;
 mod correlation;
 mod drawing;
@@ -25,6 +27,7 @@ mod graph_mapper;
 mod loops;
 mod pose_graph;
 mod refinement;
+mod registration;
 mod rigid;
 mod sparse;
 mod submap;

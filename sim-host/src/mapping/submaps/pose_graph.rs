@@ -113,9 +113,13 @@ impl PoseGraph {
     /// Ends an iteration that is solved: moves the nodes that there were when it began. Returns the greatest step in
     /// metres or radians.
     pub fn step(&mut self, solved: Iteration) -> f64 {
-        let steps = solved.elimination.factored().solve(solved.right);
+        self.move_by(&solved.elimination.factored().solve(solved.right))
+    }
+
+    /// Moves the nodes by steps of x, y and heading. Returns the greatest, in metres or radians.
+    pub(super) fn move_by(&mut self, steps: &[Vector3<f64>]) -> f64 {
         let mut greatest = 0.0f64;
-        for (pose, step) in self.poses.iter_mut().zip(&steps) {
+        for (pose, step) in self.poses.iter_mut().zip(steps) {
             greatest = greatest.max(step.amax());
             *pose = of_coordinates(coordinates(pose) + step);
         }
@@ -123,7 +127,7 @@ impl PoseGraph {
     }
 
     /// The normal equations of the steps of all poses (x, y and heading in the map).
-    fn linearised(&self) -> (System, Vec<Vector3<f64>>) {
+    pub(super) fn linearised(&self) -> (System, Vec<Vector3<f64>>) {
         let mut system = System::new(self.poses.len());
         let mut right = vec![Vector3::zeros(); self.poses.len()];
         for edge in &self.edges {

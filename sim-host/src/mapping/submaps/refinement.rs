@@ -16,7 +16,7 @@ const ROUNDS: usize = 12;
 /// [`SQUARE_M`].
 pub(super) const LAST_REACH_M: f64 = 0.1;
 /// Smallest cosine between the normals of two surfels of one surface: 40 degrees.
-const SAME_NORMAL: f64 = 0.77;
+pub(super) const SAME_NORMAL: f64 = 0.77;
 /// Standard deviation of a surfel across its surface, in metres: distances in steps of 2 cm, at
 /// bearings known to half a column.
 const POINT_M: f64 = 0.0225;
@@ -62,8 +62,7 @@ pub fn refine(
         for surfel in surfels {
             let there = surfel.moved(&motion);
             let Some((normal, distance)) = pair(reference, &there, reach) else { continue };
-            let part = distance / reach;
-            let weight = (1.0 - part * part).powi(2) / (POINT_M * POINT_M * CORRELATION);
+            let weight = surfel_information(distance, reach);
             let arm = there.at - at.xy();
             let row = Vector3::new(normal.x, normal.y, normal.dot(&Vector2::new(-arm.y, arm.x)));
             information += row * row.transpose() * weight;
@@ -92,12 +91,18 @@ pub fn refine(
     refined
 }
 
+/// The information of a surfel's distance from its surface, in metres: less the farther it is (Tukey's weight).
+pub(super) fn surfel_information(distance: f64, reach: f64) -> f64 {
+    let part = distance / reach;
+    (1.0 - part * part).powi(2) / (POINT_M * POINT_M * CORRELATION)
+}
+
 /// The normal of the reference's surface at a surfel, and the surfel's distance from it: the mean over
 /// the surface's surfels, near ones counting most. `None` if there is no surface within `reach`.
 pub(super) fn pair(reference: &Cloud, surfel: &Surfel, reach: f64) -> Option<(Vector2<f64>, f64)> {
     let own = surfel.normal?;
     let (mut normal, mut distance, mut total) = (Vector2::zeros(), 0.0, 0.0);
-    for other in reference.around(surfel.at) {
+    for (_, other) in reference.around(surfel.at) {
         let Some(its) = other.normal.filter(|its| its.dot(&own) >= SAME_NORMAL) else { continue };
         let off = surfel.at - other.at;
         let across = its.dot(&off);

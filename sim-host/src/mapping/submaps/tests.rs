@@ -1,14 +1,82 @@
-//! Tests of the graph as a whole, on graphs whose solution is known.
+//! Tests of the graph as a whole, on graphs whose solution is known, and a corridor for others.
 
 use nalgebra::{DMatrix, Matrix3, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use ubimap_protocol::{message::DistanceVector, time::Instant, units::Angle};
 
 use super::{
     loops::{Loop, Loops},
     pose_graph::{Edge, PoseGraph},
-    rigid::{Measured, Motion, coordinates, difference, of_coordinates, turned},
+    rigid::{Measured, Motion, coordinates, difference, of_coordinates, pose, turned},
+    view::View,
 };
+
+/// The walls of a corridor of 2 m around a block of 8 by 5 m, with niches at irregular places.
+pub(super) fn walls() -> Vec<[f64; 4]> {
+    let mut walls = Vec::new();
+    let ring = |walls: &mut Vec<[f64; 4]>, corners: [[f64; 2]; 4], depth: f64, starts: [f64; 4]| {
+        for side in 0..4 {
+            let (from, to) = (corners[side], corners[(side + 1) % 4]);
+            let length = (to[0] - from[0]).hypot(to[1] - from[1]);
+            let along = [(to[0] - from[0]) / length, (to[1] - from[1]) / length];
+            let place = |way: f64, off: f64| {
+                [
+                    from[0] + along[0] * way + along[1] * off,
+                    from[1] + along[1] * way - along[0] * off,
+                ]
+            };
+            let (start, end) = (starts[side], starts[side] + 0.9);
+            let ways =
+                [(0.0, 0.0), (start, 0.0), (start, depth), (end, depth), (end, 0.0), (length, 0.0)];
+            for pair in ways.windows(2) {
+                let [a, b] = [place(pair[0].0, pair[0].1), place(pair[1].0, pair[1].1)];
+                walls.push([a[0], a[1], b[0], b[1]]);
+            }
+        }
+    };
+    ring(
+        &mut walls,
+        [[-1.0, -1.0], [11.0, -1.0], [11.0, 8.0], [-1.0, 8.0]],
+        0.5,
+        [2.0, 5.5, 3.1, 1.7],
+    );
+    ring(&mut walls, [[1.0, 1.0], [9.0, 1.0], [9.0, 6.0], [1.0, 6.0]], -0.4, [4.7, 2.2, 1.3, 3.0]);
+    walls
+}
+
+/// What a sensor with so many beams over 180 degrees sees, in 64 columns.
+pub(super) fn seen(
+    beams: usize,
+    walls: &[[f64; 4]],
+    truth: &Motion,
+    reported: &Motion,
+    time: u64,
+) -> View {
+    let mut distances = [u8::MAX; 64];
+    for beam in 0..beams {
+        let angle = ((beam as f64 + 0.5) / beams as f64 - 0.5) * core::f64::consts::PI;
+        let way = truth.rotation * Vector2::new(angle.cos(), angle.sin());
+        let at = truth.translation.vector;
+        let ranges = walls.iter().filter_map(|&[x0, y0, x1, y1]| {
+            let (side, from) = (Vector2::new(x1 - x0, y1 - y0), Vector2::new(x0, y0) - at);
+            let cross = |a: Vector2<f64>, b: Vector2<f64>| a.x * b.y - a.y * b.x;
+            let size = cross(way, side);
+            let (range, part) = (cross(from, side) / size, cross(from, way) / size);
+            (range > 0.0 && (0.0..=1.0).contains(&part)).then_some(range)
+        });
+        let nearest = &mut distances[beam * 64 / beams];
+        *nearest = (*nearest).min((ranges.fold(9.0, f64::min) / 0.02).round().min(255.0) as u8);
+    }
+    View::of(&DistanceVector {
+        time: Instant(time * 1_000_000),
+        pose: pose(reported),
+        first: Angle((-31.5f64 * 512.0) as i32 as u16),
+        step: 512,
+        distances: distances.into_iter().collect(),
+        odometry: None,
+    })
+}
 
 /// Poses along a square that is driven round three times, and an edge from each to the next, with
 /// noise: the true poses, and a graph that starts from dead reckoning.

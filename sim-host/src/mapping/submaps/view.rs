@@ -5,9 +5,10 @@ use ubimap_protocol::{message::DistanceVector, time::Instant};
 
 use super::{
     cloud::{Surfel, surfels},
+    columns::Columns,
     rigid::{Motion, motion},
 };
-use crate::mapping::points;
+use crate::mapping::{Reading, readings};
 
 /// What a robot saw from one pose, in metres in `base_link`.
 #[derive(Clone, Debug)]
@@ -18,6 +19,8 @@ pub struct View {
     pub reported: Motion,
     /// The surfaces.
     pub surfels: Vec<Surfel>,
+    /// The readings that they are from.
+    pub(super) readings: Vec<Reading>,
     /// Points up to which the ground is free, without a surface there.
     pub open: Vec<Vector2<f64>>,
     /// The free ground in each column: from the robot to the line between these points.
@@ -30,8 +33,7 @@ const BEFORE_M: f64 = 0.1;
 impl View {
     /// The view of a distance vector.
     pub fn of(vector: &DistanceVector) -> Self {
-        let points: Vec<Vector2<f64>> =
-            points(vector).iter().map(|&[x, y]| Vector2::new(x, y) / 1_000.0).collect();
+        let readings: Vec<Reading> = readings(vector).collect();
         let unit = f64::from(DistanceVector::UNIT.0) / 1_000.0;
         let far = f64::from(DistanceVector::BEYOND) * unit;
         let turn = core::f64::consts::TAU / 65_536.0 * f64::from(vector.step);
@@ -53,9 +55,24 @@ impl View {
         Self {
             time: vector.time,
             reported: motion(vector.pose),
-            surfels: surfels(&points),
+            surfels: surfels(&points(&readings, &Columns::default())),
+            readings,
             open: open.collect(),
             free: free.collect(),
         }
     }
+
+    /// Moves the surfels to where the columns of the sensor are.
+    pub(super) fn calibrate(&mut self, columns: &Columns) {
+        self.surfels = surfels(&points(&self.readings, columns));
+    }
+}
+
+/// The points of readings, in metres in `base_link`.
+fn points(readings: &[Reading], columns: &Columns) -> Vec<Vector2<f64>> {
+    let point = |reading: &Reading| {
+        let bearing = columns.bearing(reading);
+        Vector2::new(libm::cos(bearing), libm::sin(bearing)) * reading.distance / 1_000.0
+    };
+    readings.iter().map(point).collect()
 }
