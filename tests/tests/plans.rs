@@ -1,9 +1,18 @@
 //! Robots map real floor plans, of which cameras see little.
 //!
 //! `cargo plans` prints the table, first with eight robots and sixteen cameras, then with four and six; `UBIMAP_PLANS=office_b,lab_c`
-//! chooses plans, `UBIMAP_SEEDS=3` more seeds, and `UBIMAP_ROBOTS=4` four robots only. A plan takes some four minutes.
+//! chooses plans, `UBIMAP_SEEDS=3` more seeds, and `UBIMAP_ROBOTS=4` four robots only. A run takes some minutes; there are
+//! as many at a time as processors.
 
-use std::{env, io::Write};
+use std::{
+    env,
+    io::Write,
+    sync::{
+        atomic::{AtomicUsize, Ordering},
+        mpsc,
+    },
+    thread,
+};
 
 use clap::Parser;
 use ubimap_sim_host::run::{options::SimulateOptions, simulate};
@@ -48,20 +57,57 @@ fn robots_map_floor_plans() {
         "| robots, plan, seed | F1 | poses RMS | blind ground mapped | all of it after | stood at most | collisions |\n\
          |---|---|---|---|---|---|---|"
     );
-    let mut collisions = 0;
     let scenarios = SCENARIOS.into_iter().filter(|(robots, _)| is_chosen(robots));
-    let runs = scenarios.flat_map(|scenario| {
-        let plans = plans.clone().flat_map(|plan| seeds(1).map(move |seed| (plan, seed)));
-        plans.map(move |(plan, seed)| (scenario, plan, seed))
+    let runs: Vec<Run<'_>> = scenarios
+        .flat_map(|(robots, scenario)| {
+            let plans = plans.clone().flat_map(|plan| seeds(1).map(move |seed| (plan, seed)));
+            plans.map(move |(plan, seed)| Run { robots, scenario, plan, seed })
+        })
+        .collect();
+    if data::file("maps/ipa").is_none() {
+        return;
+    }
+    let (next, threads) =
+        (AtomicUsize::new(0), thread::available_parallelism().map_or(1, |it| it.get()));
+    let (sender, receiver) = mpsc::channel();
+    let mut collisions = 0;
+    thread::scope(|scope| {
+        for sender in vec![sender; threads] {
+            let (runs, next) = (&runs, &next);
+            scope.spawn(move || {
+                while let Some(run) = runs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    sender.send(run.row()).unwrap();
+                }
+            });
+        }
+        // As they end, so not quite in the order of the runs.
+        for (row, its) in receiver {
+            println!("{row}");
+            let _ = std::io::stdout().flush();
+            collisions += its;
+        }
     });
-    for ((robots, scenario), plan, seed) in runs {
-        let Some(map) = data::file(&format!("maps/ipa/{plan}.yaml")) else { return };
-        let (map, seed) = (map.display().to_string(), seed.to_string());
-        let line = ["simulate", scenario, "--map", &map, "--ideal-cameras", "--seed", &seed];
+    assert_eq!(collisions, 0);
+}
+
+struct Run<'a> {
+    robots: &'a str,
+    scenario: &'a str,
+    plan: &'a str,
+    seed: u64,
+}
+
+impl Run<'_> {
+    /// Simulates it: its row of the table, and the number of collisions.
+    fn row(&self) -> (String, u64) {
+        let Self { robots, scenario, plan, seed } = self;
+        let map = data::file(&format!("maps/ipa/{plan}.yaml")).unwrap();
+        let (map, text) = (map.display().to_string(), seed.to_string());
+        let line = ["simulate", scenario, "--map", &map, "--ideal-cameras", "--seed", &text];
         let report = simulate::run(&CommandLine::parse_from(line).options).unwrap().report;
         let (pose, driving) = (report.pose.unwrap(), report.driving.unwrap());
         let after = driving.mapped_s.map_or("-".to_owned(), |seconds| format!("{seconds:.0} s"));
-        println!(
+        let row = format!(
             "| {robots}, {plan}, {seed} | {:.3} | {:.0} cm, {:.1} degrees | {:.1} % of {:.0} m2 | {after} | {:.0} s | {} |",
             report.truth.unwrap().f1_occupied,
             100.0 * pose.rmse_m,
@@ -71,8 +117,6 @@ fn robots_map_floor_plans() {
             driving.stood_s,
             driving.collisions,
         );
-        let _ = std::io::stdout().flush();
-        collisions += driving.collisions;
+        (row, driving.collisions)
     }
-    assert_eq!(collisions, 0);
 }
