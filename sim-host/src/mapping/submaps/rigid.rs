@@ -1,6 +1,6 @@
 //! Rigid motions of the plane, in metres and radians.
 
-use nalgebra::{Isometry2, Matrix3, Vector2, Vector3};
+use nalgebra::{Isometry2, Matrix3, UnitComplex, Vector2, Vector3};
 use ubimap_protocol::units::Pose;
 
 /// The motion that takes a frame to another: a translation in metres and a turn in radians.
@@ -35,6 +35,22 @@ pub(super) fn of_coordinates(vector: Vector3<f64>) -> Motion {
 pub fn difference(from: &Motion, to: &Motion) -> Vector3<f64> {
     let off = to.translation.vector - from.translation.vector;
     Vector3::new(off.x, off.y, (to.rotation / from.rotation).angle())
+}
+
+/// The motion that brings poses nearest to others: their positions, and their headings as at an arm of 1 m.
+pub(super) fn fit(poses: &[Motion], others: &[Motion]) -> Motion {
+    let mean = |poses: &[Motion]| {
+        poses.iter().map(|it| it.translation.vector).sum::<Vector2<f64>>()
+            / poses.len().max(1) as f64
+    };
+    let (middle, goal) = (mean(poses), mean(others));
+    let sum = poses.iter().zip(others).fold(Vector2::zeros(), |sum, (pose, other)| {
+        let (one, other_at) = (pose.translation.vector - middle, other.translation.vector - goal);
+        let turn = other.rotation / pose.rotation;
+        sum + Vector2::new(one.dot(&other_at) + turn.re, one.perp(&other_at) + turn.im)
+    });
+    let turn = UnitComplex::new(libm::atan2(sum.y, sum.x));
+    Motion::from_parts((goal - turn * middle).into(), turn)
 }
 
 /// A measured motion.
@@ -132,6 +148,16 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn a_motion_is_found_again(
+            motion in measured(),
+            poses in proptest::collection::vec(measured(), 1..5),
+        ) {
+            let poses: Vec<Motion> = poses.into_iter().map(|it| it.motion).collect();
+            let others: Vec<Motion> = poses.iter().map(|it| motion.motion * it).collect();
+            prop_assert!(difference(&fit(&poses, &others), &motion.motion).amax() < 1e-9);
+        }
+
         #[test]
         fn covariances_are_those_of_differences(first in measured(), second in measured()) {
             let both = first.then(&second);
