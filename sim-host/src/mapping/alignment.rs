@@ -31,7 +31,7 @@ use refinement::{CELL_DEVIATION, CELL_DEVIATION_MM, Hold, Refined, refine};
 use search::{candidates, rivals};
 
 pub use {
-    points::{NEARER, Reading, points, readings},
+    points::{Reading, points, readings},
     search::{Prior, Search},
     surfaces::Surfaces,
     trail::Trail,

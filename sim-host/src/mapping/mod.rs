@@ -20,7 +20,7 @@ pub mod trajectories;
 mod volatility;
 
 pub use agreement::{Agreements, Weight};
-pub use alignment::{Match, NEARER, Prior, Reading, Search, Surfaces, Trail, points, readings};
+pub use alignment::{Match, Prior, Reading, Search, Surfaces, Trail, points, readings};
 pub use camera_layer::{CameraLayer, CameraTile};
 pub use constant_errors::{ConstantErrors, CureRecord, Cured, Estimated};
 pub use coverage_layer::CoverageLayer;

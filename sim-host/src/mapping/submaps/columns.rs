@@ -8,10 +8,10 @@
 use nalgebra::{Matrix2, Vector2};
 use ubimap_protocol::message::MAX_COLUMNS;
 
-use crate::mapping::{NEARER, Reading};
+use crate::mapping::Reading;
 
-/// Deviations, before anything was seen, of the turn of a column, in radians, and of the share by which its readings are
-/// nearer.
+/// Deviations, before anything was seen, of the turn of a column, in radians, and of what is added to the share by which its
+/// readings are nearer.
 const LIKELY: (f64, f64) = (0.01, 0.15);
 
 /// The columns of a sensor.
@@ -23,7 +23,7 @@ pub(super) struct Columns {
 /// A column.
 #[derive(Clone, Copy, Debug)]
 struct Column {
-    /// Its turn in radians, and how far towards its nearer side the nearest reading is, as a share of it ([`NEARER`]).
+    /// Its turn in radians, and how much farther towards its nearer side its readings are than assumed, as a share of it.
     place: Vector2<f64>,
     /// The normal equations of what is to be added to that.
     information: Matrix2<f64>,
@@ -32,9 +32,12 @@ struct Column {
 
 impl Default for Columns {
     fn default() -> Self {
-        let place = Vector2::new(0.0, NEARER);
-        let column = Column { place, information: Matrix2::zeros(), right: Vector2::zeros() };
-        Self { columns: [column; MAX_COLUMNS] }
+        let zero = Column {
+            place: Vector2::zeros(),
+            information: Matrix2::zeros(),
+            right: Vector2::zeros(),
+        };
+        Self { columns: [zero; MAX_COLUMNS] }
     }
 }
 
@@ -42,10 +45,10 @@ impl Columns {
     /// The bearing of a reading in radians.
     pub(super) fn bearing(&self, reading: &Reading) -> f64 {
         let [turn, nearer] = self.columns[reading.column].place.into();
-        reading.bearing + turn + reading.lean * (nearer - NEARER)
+        reading.bearing + turn + reading.lean * nearer
     }
 
-    /// The mean share by which readings are nearer.
+    /// The mean share by which readings are nearer than assumed.
     pub(super) fn nearer(&self) -> f64 {
         self.columns.iter().map(|it| it.place.y).sum::<f64>() / MAX_COLUMNS as f64
     }
@@ -61,7 +64,7 @@ impl Columns {
     /// The normal equation of what is to be added to the mean share: its element and its right side.
     pub(super) fn expected_nearer(&self) -> (f64, f64) {
         let information = LIKELY.1.powi(-2);
-        (information, (NEARER - self.nearer()) * information)
+        (information, -self.nearer() * information)
     }
 
     /// Moves the columns to where the distances that were added are least, while the views stay; the mean share by which
@@ -79,7 +82,7 @@ impl Columns {
         let off = expected + Vector2::new(0.0, nearer) - sum / MAX_COLUMNS as f64;
         for column in &mut self.columns {
             column.place += off;
-            column.place.y = column.place.y.clamp(0.0, 0.5);
+            column.place.y = column.place.y.clamp(-0.5, 0.5);
         }
     }
 }

@@ -70,7 +70,7 @@ impl GraphMapper {
         let steps: Vec<_> =
             reported.map(|pair| driven(&pair[0].reported, &pair[1].reported)).collect();
         let columns = register(&mut self.chain.views, &steps, &mut poses);
-        debug!("readings are {:.2} of a column beside its middle", columns.nearer());
+        debug!("readings are {:.2} of a column nearer than assumed", columns.nearer());
         (self.chain.views.into_iter().zip(poses).collect(), counts)
     }
 
