@@ -5,9 +5,9 @@ use core::f64::consts::TAU;
 use libm::{cos, sin};
 use ubimap_protocol::message::{DistanceVector, MAX_COLUMNS};
 
-/// Angle between beams in degrees, if a vector does not tell it: that of a time-of-flight camera with 100 columns, and about that
-/// of common lidars (0.8 to 1).
-const BEAM_DEG: f64 = 0.9;
+/// How far towards its nearer side the nearest reading of a column is, as a share of the column. That is right for 2.5
+/// beams per column; for one it would be 0, for 1.6 some 0.2, for five 0.4, for very many 0.5.
+const NEARER: f64 = 0.3;
 
 /// The reading of a column of a distance vector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,8 +32,8 @@ pub fn points(vector: &DistanceVector) -> Vec<[f64; 2]> {
 /// The readings of a distance vector, by column.
 ///
 /// A column that merges several beams holds their nearest reading, which comes from the side of the column where the surface
-/// is nearer. So its bearing is moved to that side: by half a column without half a beam. Sensors with as many columns as there can
-/// be are assumed to have a beam every 0.9 degrees.
+/// is nearer. So its bearing is moved to that side. Sensors with as many columns as there can be are assumed to have a few
+/// beams in each.
 pub fn readings(vector: &DistanceVector) -> impl Iterator<Item = Reading> {
     let merged = vector.distances.len() == MAX_COLUMNS;
     let reading = |column: usize| match vector.distances.get(column) {
@@ -59,11 +59,10 @@ pub fn readings(vector: &DistanceVector) -> impl Iterator<Item = Reading> {
         };
         let side = if merged { -f64::from(slope.clamp(-4, 4)) / 4.0 } else { 0.0 };
         let step = f64::from(vector.step) * TAU / 65_536.0;
-        let nearer = 0.5 * (1.0 - BEAM_DEG / step.to_degrees().abs()).max(0.0);
         Some(Reading {
             column,
             distance: f64::from(here * DistanceVector::UNIT.0),
-            bearing: vector.first.radians() + (column as f64 + nearer * side) * step,
+            bearing: vector.first.radians() + (column as f64 + NEARER * side) * step,
             lean: side * step,
         })
     })
