@@ -12,7 +12,7 @@
 //!    if no other place fits as well.
 //! 4. Only the largest set of [mutually consistent](largest_consistent) matches enters the graph, with
 //!    robust weights. A match that later turns out to contradict the others leaves it again.
-//! 5. At the end all views are [registered](registration) with each other, and the sensor's [columns] are calibrated.
+//! 5. At the end all views are registered with each other, and the columns of the sensor are calibrated.
 //!
 //! Everything is deterministic. Units are metres and radians.
 
