@@ -58,12 +58,12 @@ pub fn readings(vector: &DistanceVector) -> impl Iterator<Item = Reading> {
             (None, None) => 0,
         };
         let side = if merged { -f64::from(slope.clamp(-4, 4)) / 4.0 } else { 0.0 };
-        let step = f64::from(vector.step) * TAU / 65_536.0;
+        let angle = |columns: f64| columns * f64::from(vector.step) * TAU / 65_536.0;
         Some(Reading {
             column,
             distance: f64::from(here * DistanceVector::UNIT.0),
-            bearing: vector.first.radians() + (column as f64 + NEARER * side) * step,
-            lean: side * step,
+            bearing: vector.first.radians() + angle(column as f64 + NEARER * side),
+            lean: angle(side),
         })
     })
 }
