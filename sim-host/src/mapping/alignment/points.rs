@@ -18,8 +18,7 @@ pub struct Reading {
     pub distance: f64,
     /// The bearing in `base_link`, in radians.
     pub bearing: f64,
-    /// By how much the bearing grows if readings are nearer the side of the column where the surface is nearer, by a whole column, in
-    /// radians; 0 in a column of one beam.
+    /// The change of the bearing, in radians, if `NEARER` grows by one; 0 if columns are single beams.
     pub lean: f64,
 }
 

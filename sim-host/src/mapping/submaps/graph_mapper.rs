@@ -3,7 +3,7 @@
 use log::debug;
 
 use super::{
-    chain::{Chain, driven},
+    chain::Chain,
     loops::{Loop, Loops, align},
     pose_graph::{Edge, PoseGraph},
     registration::register,
@@ -66,10 +66,7 @@ impl GraphMapper {
         }
         let counts = self.counts();
         let mut poses = self.poses();
-        let reported = self.chain.views.windows(2);
-        let steps: Vec<_> =
-            reported.map(|pair| driven(&pair[0].reported, &pair[1].reported)).collect();
-        let columns = register(&mut self.chain.views, &steps, &mut poses);
+        let columns = register(&mut self.chain.views, &mut poses);
         debug!("readings are {:.2} of a column nearer than assumed", columns.nearer());
         (self.chain.views.into_iter().zip(poses).collect(), counts)
     }

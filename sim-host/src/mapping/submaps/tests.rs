@@ -45,7 +45,7 @@ pub(super) fn walls() -> Vec<[f64; 4]> {
     walls
 }
 
-/// What a sensor with so many beams over 180 degrees sees, in 64 columns.
+/// The view of a sensor that has this number of beams over 180 degrees, merged into 64 columns.
 pub(super) fn seen(
     beams: usize,
     walls: &[[f64; 4]],
