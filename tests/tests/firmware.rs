@@ -43,7 +43,7 @@ struct CommandLine {
 /// The flash is the current size, rounded up to a KiB, and changes only in a commit that says why; the
 /// targets are 72 and 96 KiB. The RAM is the target.
 const FITS: [(&str, [usize; 2]); 2] =
-    [("mapping", [79 * 1024, 24 * 1024]), ("firmware", [107 * 1024, 36 * 1024])];
+    [("mapping", [79 * 1024, 24 * 1024]), ("firmware", [106 * 1024, 36 * 1024])];
 
 /// Only one emulator runs at a time, because the runs are in real time.
 static ALONE: Mutex<()> = Mutex::new(());

@@ -1,4 +1,4 @@
-//! A distance vector from a range scan: the distance in the middle of each column.
+//! A distance vector from a range scan: the nearest reading in each column.
 
 use core::f32::consts::PI;
 
@@ -26,20 +26,17 @@ pub struct Columns {
     pub first: Angle,
     /// Angle from one column to the next, in binary angle units.
     pub step: i16,
-    /// The distance in the middle of each column, in units of 2 cm; 0 if unknown, 255 for 5.1 m and more.
+    /// The nearest reading in each column, in units of 2 cm; 0 if there is none, 255 for 5.1 m and
+    /// more.
     pub distances: Vec<u8, MAX_COLUMNS>,
 }
 
 impl Columns {
-    /// The distances of a scan from `base_link`, in columns that divide the field of
+    /// The nearest readings of a scan relative to `base_link`, in columns that divide the field of
     /// view evenly: at most `most`, and at most one per beam. The sensor is mounted at `mounting`;
     /// its heading is already in the beams, which must be ordered by bearing, in either direction.
-    /// Without a reading there are no columns. `None` if the sensor has no beams, or if `most` is 0. About 340
+    /// Without a reading there are no columns. `None` if the sensor has no beams, or if `most` is 0. About 320
     /// instructions per beam.
-    ///
-    /// The distance in the middle of a column is interpolated between the beams beside it; where they are not on one
-    /// surface, it is that of the first beam in the column. The least one in the column would bend walls: it comes from
-    /// the side where the wall is nearer.
     pub fn of_scan(beams: &[Beam], readings: &[u16], mounting: Pose, most: usize) -> Option<Self> {
         let usable = beams.iter().filter(|beam| **beam != Beam::NONE);
         let mut bearings = usable.map(|beam| bearing(beam.left.into(), beam.forward.into()));
@@ -63,40 +60,20 @@ impl Columns {
         let count = (distances.len() as i32).max(1);
         let step = ((turn + beam + count - 1) / count).clamp(1, 32_767);
         let right = edge.0.wrapping_sub((beam / 2) as u16);
-        // Of the last beam with a reading: its bearing from the right edge, the number of columns' middles up to it, and
-        // its distance.
-        let mut last = (-65_536, 0, 0.0);
         let mut any = false;
-        for (direction, &reading) in beams.iter().zip(readings) {
+        for (beam, &reading) in beams.iter().zip(readings) {
             // How far it is free depends on the sensor, which the server does not know.
-            if matches!(reading, 0 | NOTHING_IN_RANGE) || *direction == Beam::NONE {
+            if matches!(reading, 0 | NOTHING_IN_RANGE) || *beam == Beam::NONE {
                 continue;
             }
-            let scale = f32::from(reading) / (1 << DIRECTION_BITS) as f32;
-            let x = mounting.x.0 as f32 + f32::from(direction.forward) * scale;
-            let y = mounting.y.0 as f32 + f32::from(direction.left) * scale;
-            let at = i32::from(bearing(y, x).0.wrapping_sub(right));
-            let column = at / step;
-            let middles = column + i32::from(at % step >= step / 2);
-            let distance = sqrtf(x * x + y * y) / UNIT;
-            let (before, its, nearer) = core::mem::replace(&mut last, (at, middles, distance));
-            let mut set = |column: i32, distance: f32, is_better: bool| {
-                if let Some(known) = distances.get_mut(column as usize)
-                    && (is_better || *known == 0)
-                {
-                    *known = ((distance + 0.5) as u8).max(1);
-                    any = true;
-                }
-            };
-            set(column, distance, false);
-            // A jump in distance is from one surface to another.
-            if middles != its
-                && (at - before).abs() <= 2 * beam
-                && (distance - nearer).abs() <= distance / 8.0
-            {
-                let column = middles.max(its) - 1;
-                let part = (column * step + step / 2 - before) as f32 / (at - before) as f32;
-                set(column, nearer + (distance - nearer) * part, true);
+            let length = f32::from(reading) / (1 << DIRECTION_BITS) as f32;
+            let x = mounting.x.0 as f32 + f32::from(beam.forward) * length;
+            let y = mounting.y.0 as f32 + f32::from(beam.left) * length;
+            let column = i32::from(bearing(y, x).0.wrapping_sub(right)) / step;
+            let distance = ((sqrtf(x * x + y * y) / UNIT + 0.5) as u8).max(1);
+            if let Some(nearest) = distances.get_mut(column as usize) {
+                *nearest = if *nearest == 0 { distance } else { distance.min(*nearest) };
+                any = true;
             }
         }
         if !any {
@@ -142,49 +119,37 @@ mod tests {
         assert!((bearings[0] + 43.0).abs() < 0.8, "{bearings:?}");
         assert!((bearings[63] - 43.0).abs() < 0.8, "{bearings:?}");
         let mut seen = 0;
-        // Of the outermost columns the sensor may see a side only.
-        for (bearing, &units) in bearings.iter().zip(&columns.distances).take(63).skip(1) {
+        for (bearing, &units) in bearings.iter().zip(&columns.distances) {
             let wall = 1_500.0 / bearing.to_radians().cos();
+            // The nearest reading of a column may be half a column off its centre, and so up to 20
+            // mm nearer.
             let off = f64::from(units) * 20.0 - wall;
-            assert!(units == 0 || off.abs() < 10.5, "{bearing}: {units} {off}");
+            assert!(units == 0 || (-32.0..=10.5).contains(&off), "{bearing}: {units} {off}");
             seen += u32::from(units != 0);
         }
         // Columns that the mounted sensor can't see have no reading.
         assert!((58..64).contains(&seen), "{seen}");
     }
 
-    /// A wall that each of the beams sees where it is, by beams that are not in the columns' middles.
     #[test]
-    fn a_slanted_wall_is_straight_all_round_and_clockwise() {
-        for (beams, step) in [(100, 0.012), (100, -0.012), (360, 0.0174), (64, 0.05), (70, 0.03)] {
-            let model = SensorModel::Radial { first: 0.3 - beams as f32 / 2.0 * step, step };
-            let bearing_of =
-                |beam: usize| 0.3 + (beam as f64 - beams as f64 / 2.0) * f64::from(step);
-            // 2 m away in the direction of 0.8 rad, and on all sides where that is behind.
-            let range = |bearing: f64| (2_000.0 / (bearing - 0.8).cos().max(0.4)).min(5_000.0);
-            let readings: Vec<u16> =
-                (0..beams).map(|beam| range(bearing_of(beam)).round() as u16).collect();
-            let table = table(beams, model, Pose::default());
-            let columns = Columns::of_scan(&table, &readings, Pose::default(), 64).unwrap();
-            assert_eq!(columns.distances.len(), 64);
-            // The outermost beams may be before the middle of their columns.
-            let columns = bearings(&columns).into_iter().zip(columns.distances);
-            for (bearing, units) in columns.take(63).skip(1) {
-                let off = f64::from(units) * 20.0 - range(bearing.to_radians());
-                assert!(off.abs() < 13.0, "{beams} beams, {bearing} degrees: {off} mm off");
+    fn beams_all_round_and_clockwise_ones_fill_all_columns() {
+        let step = core::f32::consts::TAU / 360.0;
+        for step in [step, -step] {
+            let beams = table(360, SensorModel::Radial { first: 0.3, step }, Pose::default());
+            let mut readings = [2_000; 360];
+            readings[90] = 700;
+            let columns = Columns::of_scan(&beams, &readings, Pose::default(), 64).unwrap();
+            assert_eq!((columns.distances.len(), columns.step), (64, 1_024));
+            let there = (0.3 + 90.0 * f64::from(step)).to_degrees();
+            for (bearing, &units) in bearings(&columns).iter().zip(&columns.distances) {
+                let aside = (bearing - there + 540.0).rem_euclid(360.0) - 180.0;
+                if aside.abs() < 2.5 {
+                    assert_eq!(units, 35, "{bearing}");
+                } else if aside.abs() > 3.5 {
+                    assert_eq!(units, 100, "{bearing}");
+                }
             }
         }
-    }
-
-    /// Beyond an edge nothing is interpolated.
-    #[test]
-    fn an_edge_stays_sharp() {
-        let step = core::f32::consts::TAU / 360.0;
-        let table = table(360, SensorModel::Radial { first: 0.3, step }, Pose::default());
-        let readings: Vec<u16> =
-            (0..360).map(|beam| if beam % 90 < 30 { 1_000 } else { 2_000 }).collect();
-        let columns = Columns::of_scan(&table, &readings, Pose::default(), 64).unwrap();
-        assert!(columns.distances.iter().all(|it| [50, 100].contains(it)), "{columns:?}");
     }
 
     #[test]

@@ -112,7 +112,7 @@ pub struct DistanceVector {
     pub first: Angle,
     /// Angle from one column to the next, in binary angle units; negative for clockwise.
     pub step: i16,
-    /// For each column the free distance from the origin of `base_link` at its centre, in units of
+    /// For each column the free distance from the origin of `base_link`, in units of
     /// [`DistanceVector::UNIT`]; 0 if unknown, [`DistanceVector::BEYOND`] for 5.1 m and more.
     pub distances: Vec<u8, MAX_COLUMNS>,
     /// Odometry pose (`base_link` in `odom`) at the same time: unlike `pose` it contains no fixes, so two of them

@@ -44,14 +44,17 @@ impl WalledRoom {
         tile.set(within(x), within(y), cell);
     }
 
-    /// A distance vector of 64 columns over 90 degrees, with a range of 4 m.
+    /// A distance vector of 64 columns of four beams each, over 90 degrees, with a range of 4 m.
     fn look(&self, pose: Pose) -> DistanceVector {
         let step = 256;
         let column = |column: i32| {
-            let bearing = f64::from(column * step - 8_192 + step / 2) * TAU / 65_536.0;
-            let range = self.range(pose, pose.heading.radians() + bearing);
-            let range = range.filter(|range| *range < 4.0);
-            range.map_or(0, |metres| (metres * 50.0).round() as u8)
+            let beams = (0..4).map(|beam| column * step - 8_192 + (2 * beam + 1) * step / 8);
+            let ranges = beams.filter_map(|beam| {
+                let angle = pose.heading.radians() + f64::from(beam) * TAU / 65_536.0;
+                self.range(pose, angle).filter(|range| *range < 4.0)
+            });
+            let nearest = ranges.reduce(f64::min);
+            nearest.map_or(0, |metres| (metres * 50.0).round() as u8)
         };
         DistanceVector {
             time: Instant(0),

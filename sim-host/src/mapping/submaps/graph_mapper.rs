@@ -67,7 +67,7 @@ impl GraphMapper {
         let counts = self.counts();
         let mut poses = self.poses();
         let columns = register(&mut self.chain.views, &mut poses);
-        debug!("readings are {:.0} mm too long", -1_000.0 * columns.length_m());
+        debug!("readings are {:.2} of a column nearer than assumed", columns.nearer());
         (self.chain.views.into_iter().zip(poses).collect(), counts)
     }
 
@@ -174,7 +174,7 @@ mod tests {
             })
             .enumerate()
         {
-            mapper.add(seen(&walls, &truth, &reported, index as u64));
+            mapper.add(seen(64, &walls, &truth, &reported, index as u64));
             truths.push(truth);
             let (way, slip) = if turn == 0.0 { (0.25, 1.0f64) } else { (0.0, 0.5) };
             truth *= Motion::new(Vector2::new(way, 0.0), turn.to_radians());

@@ -45,10 +45,17 @@ pub(super) fn walls() -> Vec<[f64; 4]> {
     walls
 }
 
-/// The view of a sensor with 64 columns over 180 degrees.
-pub(super) fn seen(walls: &[[f64; 4]], truth: &Motion, reported: &Motion, time: u64) -> View {
-    let distances = (0..64).map(|column| {
-        let angle = ((f64::from(column) + 0.5) / 64.0 - 0.5) * core::f64::consts::PI;
+/// The view of a sensor that has this number of beams over 180 degrees, merged into 64 columns.
+pub(super) fn seen(
+    beams: usize,
+    walls: &[[f64; 4]],
+    truth: &Motion,
+    reported: &Motion,
+    time: u64,
+) -> View {
+    let mut distances = [u8::MAX; 64];
+    for beam in 0..beams {
+        let angle = ((beam as f64 + 0.5) / beams as f64 - 0.5) * core::f64::consts::PI;
         let way = truth.rotation * Vector2::new(angle.cos(), angle.sin());
         let at = truth.translation.vector;
         let ranges = walls.iter().filter_map(|&[x0, y0, x1, y1]| {
@@ -58,14 +65,15 @@ pub(super) fn seen(walls: &[[f64; 4]], truth: &Motion, reported: &Motion, time: 
             let (range, part) = (cross(from, side) / size, cross(from, way) / size);
             (range > 0.0 && (0.0..=1.0).contains(&part)).then_some(range)
         });
-        (ranges.fold(9.0, f64::min) / 0.02).round().min(255.0) as u8
-    });
+        let nearest = &mut distances[beam * 64 / beams];
+        *nearest = (*nearest).min((ranges.fold(9.0, f64::min) / 0.02).round().min(255.0) as u8);
+    }
     View::of(&DistanceVector {
         time: Instant(time * 1_000_000),
         pose: pose(reported),
         first: Angle((-31.5f64 * 512.0) as i32 as u16),
         step: 512,
-        distances: distances.collect(),
+        distances: distances.into_iter().collect(),
         odometry: None,
     })
 }

@@ -62,7 +62,7 @@ impl View {
         }
     }
 
-    /// Moves the surfels to where the readings of the sensor are.
+    /// Moves the surfels to where the columns of the sensor are.
     pub(super) fn calibrate(&mut self, columns: &Columns) {
         self.surfels = surfels(&points(&self.readings, columns));
     }
@@ -70,5 +70,9 @@ impl View {
 
 /// The points of readings, in metres in `base_link`.
 fn points(readings: &[Reading], columns: &Columns) -> Vec<Vector2<f64>> {
-    readings.iter().map(|reading| columns.point(reading)).collect()
+    let point = |reading: &Reading| {
+        let bearing = columns.bearing(reading);
+        Vector2::new(libm::cos(bearing), libm::sin(bearing)) * reading.distance / 1_000.0
+    };
+    readings.iter().map(point).collect()
 }
