@@ -71,6 +71,10 @@ pub struct Report {
     /// with such robots.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drawn_on_standing: Option<u64>,
+    /// Maximum delay of the simulation behind real time in seconds; only for a robot outside. Its wheels and
+    /// sensor were as late: with more than a few tenths, the run says little about the robot.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub late_s: Option<f64>,
     /// What the robots would know without the cameras; only for simulations that ask for it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub baselines: Option<BaselineSummary>,
@@ -281,6 +285,7 @@ impl Report {
             points: None,
             vision: None,
             drawn_on_standing: None,
+            late_s: None,
             baselines: None,
             changes: Vec::new(),
             risings: Vec::new(),
@@ -413,6 +418,9 @@ impl Report {
                 "calibration: {} landmarks, cameras within {:.4} m and {:.3} degrees of the truth",
                 calibration.landmarks, calibration.position_m, calibration.angle_deg
             )?;
+        }
+        if let Some(late) = self.late_s {
+            writeln!(f, "real time: the simulation was {late:.2} s behind it at most")?;
         }
         if let Some(cells) = self.drawn_on_standing {
             writeln!(f, "robots that stand: {cells} cells drawn on them")?;

@@ -5,7 +5,7 @@ use std::{path::PathBuf, str::FromStr, time};
 
 use ubimap_agent::drive::DriveCommand;
 use ubimap_protocol::{
-    time::Instant,
+    time::{Duration, Instant},
     units::{Pose, RobotId},
 };
 
@@ -65,6 +65,8 @@ pub struct Outside {
     driven: [f64; 2],
     /// When the run began.
     began: time::Instant,
+    /// How far the simulation was behind real time at most.
+    late: Duration,
     /// The robot's reported poses.
     path: Vec<(Instant, Pose)>,
 }
@@ -89,6 +91,7 @@ impl Outside {
             base: SimCreate2::new(),
             driven: [0.0; 2],
             began: time::Instant::now(),
+            late: Duration::from_micros(0),
             path: Vec::new(),
         })
     }
@@ -108,6 +111,11 @@ impl Outside {
         &self.path
     }
 
+    /// How far the simulation was behind real time at most, because the computer was busy or slow.
+    pub fn late(&self) -> Duration {
+        self.late
+    }
+
     /// The time since the run began.
     pub(super) fn now(&self) -> Instant {
         Instant(self.began.elapsed().as_micros() as u64)
@@ -125,6 +133,7 @@ impl Outside {
         until: Instant,
     ) -> Result<Instant, WireError> {
         let mut bytes = [0; CHUNK];
+        self.late = self.late.max(self.now().since(until));
         let left = time::Duration::from_micros(until.since(self.now()).micros());
         let count = self.wheels.read_within(&mut bytes, left.min(MAX_WAIT))?;
         // The simulation may be late; its events are then caught up with one after the other.

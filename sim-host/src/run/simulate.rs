@@ -182,6 +182,7 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let errors = || scoring::position_errors(&fleet, stage.tracks());
     report.baselines = stage.onboard().map(|onboard| onboard.summary(&errors()));
     report.points = stage.points().map(Pointset::summary);
+    report.late_s = fleet.outside().map(|robot| robot.late().micros() as f64 / 1e6);
     report.drawn_on_standing = scoring::drawn_on_standing(&map, stage.world());
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
