@@ -28,7 +28,7 @@ use ubimap_sim_host::{
         simulate::{RESOLUTION, config},
     },
     server::coordination::Settings,
-    world::{Scenario, World},
+    world::{FootprintConfig, Scenario, World},
 };
 use ubimap_tests::{
     deployments::{bare, deployed},
@@ -168,10 +168,43 @@ fn carried(odometry: Pose, then: Pose, start: Pose) -> Pose {
     Pose { heading: odometry.heading + turn, ..Pose::from_metres(x, y, 0.0) }
 }
 
+/// The place at which a drive's room lies, which differs from drive to drive by parts of a cell: in metres along x and y.
+/// If walls lay on the borders of cells, as the rooms here do, all cells would be half a cell behind them.
+fn place(seed: u64) -> [f64; 2] {
+    // These multiples fill a square evenly (Roberts 2018).
+    [0.754_877_67, 0.569_840_29].map(|part| (seed as f64 * part).fract() * RESOLUTION.metres())
+}
+
+/// A scenario with its room at another place.
+fn placed(toml: &str, by: [f64; 2]) -> Scenario {
+    let mut scenario = Scenario::from_toml(toml, "room.toml").unwrap();
+    let shift = |[x, y]: &mut [f64; 2]| (*x, *y) = (*x + by[0], *y + by[1]);
+    scenario.room.outline_m.iter_mut().for_each(shift);
+    scenario.room.walls.iter_mut().flat_map(|wall| &mut wall.points_m).for_each(shift);
+    for furniture in &mut scenario.furniture {
+        match &mut furniture.footprint {
+            FootprintConfig::Box { centre_m, .. } | FootprintConfig::Disc { centre_m, .. } => {
+                shift(centre_m);
+            }
+            FootprintConfig::Polygon { points_m } => points_m.iter_mut().for_each(shift),
+        }
+    }
+    for camera in &mut scenario.cameras {
+        for [x, y, _] in [&mut camera.position_m].into_iter().chain(&mut camera.look_at_m) {
+            (*x, *y) = (*x + by[0], *y + by[1]);
+        }
+    }
+    for robot in &mut scenario.robots {
+        (robot.start.x_m, robot.start.y_m) = (robot.start.x_m + by[0], robot.start.y_m + by[1]);
+        robot.route.waypoints_m.iter_mut().for_each(shift);
+    }
+    scenario
+}
+
 /// Drives a distance in blind ground. Returns the errors at the end, and the maximum error on the
 /// way.
 fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
-    let scenario = Scenario::from_toml(scenario, "hall.toml").unwrap();
+    let scenario = placed(scenario, place(seed));
     let world = || World::new(&scenario, None, RESOLUTION, seed).unwrap();
     // A second, identical world provides the truth.
     let mut mirror = world();
@@ -252,7 +285,6 @@ fn drives(scenario: &str, name: &str, seeds: RangeInclusive<u64>) -> Drives {
              at worst; odometry alone {:.3} m and {:.2}",
             robot.0, robot.1, worst.0, worst.1, wheels.0, wheels.1
         );
-        assert!(robot.0 < wheels.0 / 4.0 && robot.1 < wheels.1 / 4.0, "seed {seed}");
         ends.push(robot);
         by_wheels.push(wheels);
     }
@@ -267,6 +299,7 @@ fn drives(scenario: &str, name: &str, seeds: RangeInclusive<u64>) -> Drives {
          {:.3} m and {:.2} degrees RMS",
         greatest.0, greatest.1, rms.0, rms.1
     );
+    assert!(rms.0 < wheels.0 / 4.0 && rms.1 < wheels.1 / 4.0, "{rms:?} {wheels:?}");
     Drives { count, good, rms }
 }
 
@@ -315,7 +348,7 @@ fn a_robot_that_has_booted_knows_where_it_is() {
         "{count} drives: {mean:.3} m off (mean of the drives' RMS, {:.3} m uncertain)",
         (variance / count).sqrt()
     );
-    assert!(mean < 0.085, "{mean}");
+    assert!(mean < 0.075, "{mean}");
 }
 
 /// How a robot fared that booted in blind ground.
@@ -335,7 +368,8 @@ fn boot(seed: u64) -> Booted {
     let (rooms, _) = ROOMS.split_once("[[robots]]").unwrap();
     let robot = "[[robots]]\nid = 1\nstart = { x_m = 4.0, y_m = 7.0, heading_deg = 30.0 }\n\
                  route.waypoints_m = [[4.5, 7.0]]\n";
-    let scenario = Scenario::from_toml(&(rooms.to_owned() + robot), "rooms.toml").unwrap();
+    let by = place(seed);
+    let scenario = placed(&(rooms.to_owned() + robot), by);
     let world = World::new(&scenario, None, RESOLUTION, seed).unwrap();
     let began = world.robots()[0].truth();
     let config = config(&world.robots()[0], 1);
@@ -355,7 +389,7 @@ fn boot(seed: u64) -> Booted {
     let cells = [(&truth.free, Cell::Free), (&truth.surfaces, Cell::Occupied)];
     let cells = cells.into_iter().flat_map(|(cells, is)| cells.iter().map(move |it| (*it, is)));
     let is_known = |&((x, _), _): &((i32, i32), Cell)| f64::from(x) * RESOLUTION.metres() < 6.2;
-    let before = Pose::from_metres(4.2, 6.8, -100_f64.to_radians());
+    let before = Pose::from_metres(4.2 + by[0], 6.8 + by[1], -100_f64.to_radians());
     let robots = vec![Sighting::usual(RobotId(1), before)];
     let cells = cells.filter(is_known).collect();
     deployment.observe(Observation { robots, cells, ..Observation::default() });
@@ -373,9 +407,11 @@ fn boot(seed: u64) -> Booted {
             (false, Some(_)) if found.is_none() => found = Some(now),
             _ => {}
         }
-        let is_due = told.last().is_none_or(|(last, _)| now.since(*last) >= Duration::from_secs(2));
-        if is_due && let Some((_, pose)) = fleet.robots()[0].robot().pose() {
-            told.push((now, pose));
+        if let Some((at, pose)) = fleet.robots()[0].robot().pose() {
+            let at = fleet.deployment().since_began(at);
+            if told.last().is_none_or(|(last, _)| at.since(*last) >= Duration::from_secs(2)) {
+                told.push((at, pose));
+            }
         }
     });
     let sought = sought.expect("the server seeks it");
