@@ -168,15 +168,15 @@ fn carried(odometry: Pose, then: Pose, start: Pose) -> Pose {
     Pose { heading: odometry.heading + turn, ..Pose::from_metres(x, y, 0.0) }
 }
 
-/// The place at which a drive's room lies, which differs from drive to drive by parts of a cell: in metres along x and y.
-/// If walls lay on the borders of cells, as the rooms here do, all cells would be half a cell behind them.
-fn place(seed: u64) -> [f64; 2] {
+/// By how much a drive's room is moved along x and y, in metres: a part of a cell, different for each drive. With walls on
+/// the borders of cells, as in the scenarios here, the middles of all occupied cells would be half a cell behind them.
+fn offset(seed: u64) -> [f64; 2] {
     // These multiples fill a square evenly (Roberts 2018).
     [0.754_877_67, 0.569_840_29].map(|part| (seed as f64 * part).fract() * RESOLUTION.metres())
 }
 
-/// A scenario with its room at another place.
-fn placed(toml: &str, by: [f64; 2]) -> Scenario {
+/// A scenario whose room, with all that is in it, is moved by this much.
+fn moved(toml: &str, by: [f64; 2]) -> Scenario {
     let mut scenario = Scenario::from_toml(toml, "room.toml").unwrap();
     let shift = |[x, y]: &mut [f64; 2]| (*x, *y) = (*x + by[0], *y + by[1]);
     scenario.room.outline_m.iter_mut().for_each(shift);
@@ -204,7 +204,7 @@ fn placed(toml: &str, by: [f64; 2]) -> Scenario {
 /// Drives a distance in blind ground. Returns the errors at the end, and the maximum error on the
 /// way.
 fn drive(scenario: &str, seed: u64, metres: f64) -> (Off, (f64, f64)) {
-    let scenario = placed(scenario, place(seed));
+    let scenario = moved(scenario, offset(seed));
     let world = || World::new(&scenario, None, RESOLUTION, seed).unwrap();
     // A second, identical world provides the truth.
     let mut mirror = world();
@@ -368,8 +368,8 @@ fn boot(seed: u64) -> Booted {
     let (rooms, _) = ROOMS.split_once("[[robots]]").unwrap();
     let robot = "[[robots]]\nid = 1\nstart = { x_m = 4.0, y_m = 7.0, heading_deg = 30.0 }\n\
                  route.waypoints_m = [[4.5, 7.0]]\n";
-    let by = place(seed);
-    let scenario = placed(&(rooms.to_owned() + robot), by);
+    let by = offset(seed);
+    let scenario = moved(&(rooms.to_owned() + robot), by);
     let world = World::new(&scenario, None, RESOLUTION, seed).unwrap();
     let began = world.robots()[0].truth();
     let config = config(&world.robots()[0], 1);

@@ -71,8 +71,8 @@ pub struct Report {
     /// with such robots.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub drawn_on_standing: Option<u64>,
-    /// Maximum delay of the simulation behind real time in seconds; only for a robot outside. Its wheels and
-    /// sensor were as late: with more than a few tenths, the run says little about the robot.
+    /// Maximum delay of the simulation behind real time in seconds; only for a robot outside, whose wheels and
+    /// sensor were as late.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub late_s: Option<f64>,
     /// What the robots would know without the cameras; only for simulations that ask for it.

@@ -91,7 +91,7 @@ impl Outside {
             base: SimCreate2::new(),
             driven: [0.0; 2],
             began: time::Instant::now(),
-            late: Duration::from_micros(0),
+            late: Duration::default(),
             path: Vec::new(),
         })
     }
@@ -111,7 +111,7 @@ impl Outside {
         &self.path
     }
 
-    /// How far the simulation was behind real time at most, because the computer was busy or slow.
+    /// How far the simulation was behind real time at most.
     pub fn late(&self) -> Duration {
         self.late
     }
