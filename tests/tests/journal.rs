@@ -36,7 +36,7 @@ use ubimap_sim_host::{
 };
 use ubimap_tests::{
     deployments::deployed,
-    emulator::{Core, Emulator, journalled_firmware, leave_out, replay},
+    emulator::{Core, in_step, leave_out, replay},
 };
 
 #[path = "../../agent/src/bin/firmware/configuration.rs"]
@@ -261,18 +261,14 @@ struct CommandLine {
 fn the_firmwares_journal_is_repeated_here() {
     let folder = folder("firmware");
     let written = folder.join("written");
-    let emulator = journalled_firmware(&folder)
-        .and_then(|image| Emulator::start_with_journal(&image, &written));
-    let emulator = match emulator {
-        Ok(emulator) => emulator,
+    let command = match in_step(&folder, Some(&written)) {
+        Ok(command) => command,
         Err(error) => return leave_out("the firmware's journal", &error),
     };
-    let ports = emulator.ports().each_ref().map(|port| port.display().to_string()).join(",");
-    let line = ["simulate", "--robots", "1", "--ideal-cameras", "--outside", &ports];
+    let line = ["simulate", "--robots", "1", "--ideal-cameras", "--in-step", &command];
     let options = CommandLine::parse_from(line.into_iter().chain(["--duration", "110"])).options;
     let report = simulate::run(&options).unwrap().report;
     println!("{:?}", report.driving);
-    drop(emulator);
     let journal = ended(fs::read(&written).unwrap());
     println!("{} bytes", journal.len());
     let given = played(&journal);

@@ -63,6 +63,8 @@ impl Board {
             clock,
             ports,
             journal,
+            #[cfg(feature = "in-step")]
+            simulation: super::in_step::Simulation::open()?,
             led,
             watchdog,
             was_reset_by_watchdog,

@@ -16,6 +16,8 @@ mod chip;
 mod flash;
 #[cfg(feature = "flash")]
 mod identity;
+#[cfg(feature = "in-step")]
+mod in_step;
 #[cfg(feature = "motors")]
 mod motors;
 #[cfg_attr(feature = "crazyflie", path = "crazyflie21.rs")]
@@ -47,6 +49,9 @@ pub(crate) struct Board {
     pub(crate) ports: [Serial; 3],
     /// The port that a journal is written to, if the image is built with it.
     pub(crate) journal: JournalPort,
+    /// The simulation that the ports lead to.
+    #[cfg(feature = "in-step")]
+    pub(crate) simulation: in_step::Simulation,
     /// The status LED.
     pub(crate) led: Led,
     /// Resets the robot if the main loop hangs.
@@ -69,6 +74,14 @@ pub(crate) struct Board {
     /// The sensor of 8 x 8 zones; `None` if it does not answer.
     #[cfg(feature = "vl53")]
     pub(crate) zones: Option<vl53::ZoneSensor>,
+}
+
+#[cfg(feature = "in-step")]
+impl Board {
+    /// Exchanges bytes with the simulation.
+    pub(crate) fn step(&mut self) {
+        self.simulation.exchange(&mut self.ports, self.clock.now());
+    }
 }
 
 #[cfg(feature = "flash")]

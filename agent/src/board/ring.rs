@@ -19,12 +19,17 @@ impl Ring {
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.room() == self.bytes.len()
+        self.len() == 0
+    }
+
+    /// Number of bytes in it.
+    pub(super) fn len(&self) -> usize {
+        let (put, taken) = (self.put.load(Ordering::Acquire), self.taken.load(Ordering::Acquire));
+        put.wrapping_sub(taken).min(self.bytes.len())
     }
 
     pub(super) fn room(&self) -> usize {
-        let (put, taken) = (self.put.load(Ordering::Acquire), self.taken.load(Ordering::Acquire));
-        self.bytes.len() - put.wrapping_sub(taken).min(self.bytes.len())
+        self.bytes.len() - self.len()
     }
 
     /// Puts a byte; `false` if the queue is full.
@@ -54,7 +59,7 @@ impl Ring {
     #[cfg(feature = "rp2")]
     pub(super) fn copy<'b>(&self, bytes: &'b mut [u8]) -> &'b [u8] {
         let taken = self.taken.load(Ordering::Relaxed);
-        let len = (self.bytes.len() - self.room()).min(bytes.len());
+        let len = self.len().min(bytes.len());
         for (offset, byte) in bytes.iter_mut().take(len).enumerate() {
             let at = taken.wrapping_add(offset) & (self.bytes.len() - 1);
             *byte = self.bytes.get(at).map_or(0, |byte| byte.load(Ordering::Relaxed));
@@ -65,7 +70,7 @@ impl Ring {
     /// Takes the oldest bytes, at most as many as there are.
     #[cfg(feature = "rp2")]
     pub(super) fn skip(&self, count: usize) {
-        let count = count.min(self.bytes.len() - self.room());
+        let count = count.min(self.len());
         let taken = self.taken.load(Ordering::Relaxed);
         self.taken.store(taken.wrapping_add(count), Ordering::Release);
     }

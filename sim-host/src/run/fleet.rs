@@ -20,7 +20,7 @@ use super::{
     interruption,
     keeper::Keeper,
     member::Member,
-    outside::{Outside, OutsidePorts},
+    outside::robot::{Outside, Place},
     terminal,
 };
 use crate::{
@@ -124,9 +124,9 @@ impl<'b> Fleet<'b> {
     /// its clock is the time that passes.
     ///
     /// # Errors
-    /// [`RunError::Port`] if a port can't be opened.
-    pub fn connect(&mut self, robot: RobotId, ports: &OutsidePorts) -> Result<(), RunError> {
-        self.outside = Some(Outside::open(robot, ports, &mut self.deployment)?);
+    /// [`RunError::Port`] if a port can't be opened or a command not started.
+    pub fn connect(&mut self, robot: RobotId, place: &Place, seed: u64) -> Result<(), RunError> {
+        self.outside = Some(Outside::open(robot, place, seed, &mut self.deployment)?);
         Ok(())
     }
 
@@ -333,7 +333,7 @@ impl<'b> Fleet<'b> {
         while let Some((port, len)) = self.deployment.poll_transmit(now, &mut self.frame) {
             if let Some(outside) = self.outside.as_mut().filter(|it| it.port() == port) {
                 hear(outside.id(), Direction::ToRobot, &self.frame[..len]);
-                outside.transmit(&self.frame[..len])?;
+                outside.transmit(&self.frame[..len], now)?;
             }
             if let Some(robot) = self.robots.iter_mut().find(|robot| robot.port() == port) {
                 hear(robot.id(), Direction::ToRobot, &self.frame[..len]);

@@ -44,6 +44,7 @@ pub mod reproduce;
 pub mod rig;
 mod rising;
 pub mod robot;
+mod robot_clock;
 mod robots_file;
 pub mod room_stage;
 pub mod scale;
@@ -259,7 +260,7 @@ pub enum RunError {
         there: usize,
     },
     /// A robot outside needs a scenario with one robot.
-    #[error("--outside: the scenario has {there} robots; choose one with --robots 1")]
+    #[error("--outside, --in-step: the scenario has {there} robots; choose one with --robots 1")]
     OneRobot {
         /// Number of robots in the scenario.
         there: usize,

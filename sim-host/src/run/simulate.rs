@@ -28,6 +28,7 @@ use super::{
     map_age::MapAge,
     markers, network,
     options::{Knock, MotionName, SensorName, SimulateOptions},
+    outside::robot::Outside,
     pointset::Pointset,
     progress::Progress,
     record::{Recorded, Recording},
@@ -79,8 +80,8 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
         curve: vision.curve(),
         follows_boundaries: options.motion == MotionName::Boundary,
     });
-    let configs =
-        if options.outside.is_some() { Vec::new() } else { robots(options, sight, &world) };
+    let place = options.place();
+    let configs = if place.is_some() { Vec::new() } else { robots(options, sight, &world) };
     check_tiles(configs.len(), own_tiles(options))?;
     let points = options.keeps_points(&scenario).then(|| {
         let starts = world.robots().iter().map(SimRobot::truth);
@@ -116,8 +117,8 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     if let Some(keeper) = keeper {
         fleet.keep(keeper);
     }
-    if let (Some(ports), [robot]) = (&options.outside, world.robots()) {
-        fleet.connect(robot.id(), ports)?;
+    if let (Some(place), [robot]) = (&place, world.robots()) {
+        fleet.connect(robot.id(), place, seed)?;
     }
     let recording = recording(options, &scenario, &world)?;
 
@@ -182,7 +183,8 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let errors = || scoring::position_errors(&fleet, stage.tracks());
     report.baselines = stage.onboard().map(|onboard| onboard.summary(&errors()));
     report.points = stage.points().map(Pointset::summary);
-    report.late_s = fleet.outside().map(|robot| robot.late().micros() as f64 / 1e6);
+    let late = fleet.outside().and_then(Outside::late);
+    report.late_s = late.map(|late| late.micros() as f64 / 1e6);
     report.drawn_on_standing = scoring::drawn_on_standing(&map, stage.world());
     report.simulated_s = fleet.elapsed().micros() as f64 / 1e6;
     report.elapsed_s = started.elapsed().as_secs_f64();
@@ -240,7 +242,7 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
         camera.knocks.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     }
     let there = scenario.robots.len();
-    if options.outside.is_some() && there != 1 {
+    if options.place().is_some() && there != 1 {
         return Err(RunError::OneRobot { there });
     }
     for robot in &mut scenario.robots {
@@ -251,7 +253,7 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
             robot.sensor = robot.sensor.to_grey_camera(robot.height_m);
         }
     }
-    if options.outside.is_some() || options.drivers {
+    if options.place().is_some() || options.drivers {
         for robot in &mut scenario.robots {
             *robot = robot.on_create2(CAMERA.binning.side());
         }

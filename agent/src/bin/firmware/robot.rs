@@ -43,6 +43,8 @@ pub(crate) fn run<D: Drive>(
                 machine.report_watchdog(running.now());
             }
             firmware::run(&mut running, machine, served, |running, machine, now| {
+                #[cfg(feature = "in-step")]
+                running.board.step();
                 look(running.board, machine, now);
                 wheels::count(running.board, machine, now);
             })

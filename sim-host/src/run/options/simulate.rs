@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     recording::{ExposureRule, PixelModel},
-    run::outside::OutsidePorts,
+    run::outside::{robot::Place, serial_ports},
     world::{NAMED, Scenario},
 };
 
@@ -63,7 +63,7 @@ pub struct SimulateOptions {
     pub motion: MotionName,
 
     /// The robots' sensor, instead of the scenario's
-    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t, conflicts_with_all = ["drivers", "outside", "log"])]
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t, conflicts_with_all = ["drivers", "outside", "in_step", "log"])]
     pub sensor: SensorName,
 
     /// What robots leave out around other robots
@@ -98,13 +98,18 @@ pub struct SimulateOptions {
 
     /// Let the robots read an A010 depth camera and drive a Create 2, byte by byte through the drivers
     /// of a real robot; their own sensors are replaced
-    #[arg(long, help_heading = "Cameras and robots", conflicts_with_all = ["scripted", "outside"])]
+    #[arg(long, help_heading = "Cameras and robots", conflicts_with_all = ["scripted", "outside", "in_step"])]
     pub drivers: bool,
 
     /// Let a robot outside, such as a board or an emulator, be the scenario's robot, in real time: its
     /// serial ports to the server, to a simulated A010 depth camera and to a simulated Create 2
-    #[arg(long, help_heading = "Cameras and robots", value_name = "SERVER,SENSOR,WHEELS", conflicts_with_all = ["scripted", "motion", "tiles"])]
-    pub outside: Option<OutsidePorts>,
+    #[arg(long, help_heading = "Cameras and robots", value_name = "SERVER,SENSOR,WHEELS", conflicts_with_all = ["scripted", "motion", "tiles", "in_step"])]
+    pub outside: Option<serial_ports::Paths>,
+
+    /// Let a command run the scenario's robot, such as an emulator with an image: the same ports over its standard
+    /// input and output, in the simulation's time, which is that of the command
+    #[arg(long, help_heading = "Cameras and robots", value_name = "COMMAND", conflicts_with_all = ["scripted", "motion", "tiles"])]
+    pub in_step: Option<String>,
 
     /// Ignore the labels and classes of the scenario
     #[arg(long)]
@@ -145,6 +150,12 @@ impl SimulateOptions {
             || self.pixel_model != PixelModel::Pinhole
             || self.exposure != ExposureRule::Any;
         self.points.is_some() || !scenario.glare.is_empty() || compares
+    }
+
+    /// Where the robot is, if it is outside the simulation.
+    pub(crate) fn place(&self) -> Option<Place> {
+        let ports = self.outside.clone().map(Place::Ports);
+        ports.or_else(|| self.in_step.clone().map(Place::Command))
     }
 
     /// Whether the server leads the robots.
