@@ -27,6 +27,8 @@ use ubimap_protocol::{
 
 use super::submaps::{self, Motion, motion, turned};
 use geometry::{position, rotated};
+
+pub(super) use geometry::line;
 use refinement::{CELL_DEVIATION, CELL_DEVIATION_MM, Hold, Refined, refine};
 use search::{candidates, rivals};
 

@@ -16,7 +16,7 @@ pub(super) fn quarter(arm: Vector2<f64>) -> usize {
 
 /// Fits a line to the points. Returns their mean and the line's unit normal, or `None` if they do
 /// not form a line.
-pub(super) fn line(points: &[Vector2<f64>]) -> Option<(Vector2<f64>, Vector2<f64>)> {
+pub(in crate::mapping) fn line(points: &[Vector2<f64>]) -> Option<(Vector2<f64>, Vector2<f64>)> {
     let mean = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
     let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
     for point in points {

@@ -10,6 +10,7 @@
 //! Deterministic.
 
 mod certainty;
+mod compass;
 mod matches;
 mod overlaps;
 mod piece;
@@ -22,6 +23,7 @@ use nalgebra::{Matrix3, Vector3};
 use ubimap_protocol::units::{Millimetres, Pose, RobotId};
 
 use self::{
+    compass::Compass,
     matches::{Matches, covariance},
     overlaps::Overlaps,
     piece::Piece,
@@ -82,6 +84,10 @@ pub struct Trajectories {
     /// Where the map has the pieces.
     placed: Vec<Motion>,
     steps: Vec<Edge>,
+    /// What was measured of single pieces.
+    absolutes: Vec<Absolute>,
+    /// The walls' directions, which are learnt anew whenever the server starts.
+    compass: Compass,
     /// The matches of each piece with others.
     matches: Vec<Vec<Edge>>,
     overlaps: Overlaps,
@@ -150,7 +156,7 @@ impl Trajectories {
         let since = trajectory.since.take();
         let Some(&last) = trajectory.pieces.last() else {
             let node = self.pieces.len();
-            self.graph.absolutes.push(Absolute { node, pose, information: information(FIRST) });
+            self.absolutes.push(Absolute { node, pose, information: information(FIRST) });
             return self.begin(robot, view, pose, seen, covariance(FIRST));
         };
         let piece = &mut self.pieces[last];
@@ -180,6 +186,9 @@ impl Trajectories {
         }
         let before = piece.last().at;
         piece.is_closed = true;
+        if piece.is_seen {
+            self.compass.learn(&piece.directions, self.graph.poses[last].rotation.angle());
+        }
         self.waiting.push_back(last);
         let turn = turned(before.rotation.angle());
         self.steps.push(Edge {
@@ -226,7 +235,7 @@ impl Trajectories {
 
     fn see(&mut self, node: usize, pose: Motion) {
         self.pieces[node].held = Some(covariance(SEEN));
-        self.graph.absolutes.push(Absolute { node, pose, information: information(SEEN) });
+        self.absolutes.push(Absolute { node, pose, information: information(SEEN) });
         self.is_unsolved = true;
     }
 
@@ -278,6 +287,8 @@ impl Trajectories {
         if self.pieces[number].is_seen {
             return self.find(number);
         }
+        let piece = &mut self.pieces[number];
+        piece.heading = self.compass.heading(&piece.directions, here.rotation.angle());
         let there = suggested.filter(|it| !is_within(&here.inv_mul(it), FOUND));
         let there = there.map(|there| self.matches_at(number, &there));
         let mut found = self.matches_at(number, &here);
@@ -354,6 +365,9 @@ impl Trajectories {
                 self.graph.edges.clear();
                 self.graph.edges.extend(self.steps.iter().cloned());
                 self.graph.edges.extend(self.matches.iter().flatten().cloned());
+                self.graph.absolutes.clone_from(&self.absolutes);
+                let headings = self.headings().collect::<Vec<_>>();
+                self.graph.absolutes.extend(headings);
                 self.solving = Some(self.graph.begin());
             }
             return BTreeSet::new();
@@ -367,6 +381,16 @@ impl Trajectories {
             None => log::debug!("nothing holds some of the robots' trajectories"),
         }
         BTreeSet::new()
+    }
+
+    /// The headings of pieces by the walls' directions, as measurements of these alone.
+    fn headings(&self) -> impl Iterator<Item = Absolute> {
+        (0..).zip(&self.pieces).filter_map(|(node, piece)| {
+            let (heading, deviation) = piece.heading?;
+            let pose = Motion::new(self.graph.poses[node].translation.vector, heading);
+            let information = Matrix3::from_diagonal(&Vector3::z()) / (deviation * deviation);
+            Some(Absolute { node, pose, information })
+        })
     }
 
     /// Takes over where the pieces are now. Returns the robots of those that have moved.

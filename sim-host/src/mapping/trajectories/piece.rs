@@ -10,6 +10,7 @@ use ubimap_protocol::{
     units::{Millimetres, RobotId},
 };
 
+use super::compass::{Direction, directions};
 use crate::mapping::{
     Mask,
     submaps::{Cloud, Motion, View, is_within},
@@ -39,6 +40,10 @@ pub(super) struct Piece {
     pub(super) views: Vec<Placed>,
     /// What was seen.
     pub(super) cloud: Cloud,
+    /// The directions of the surfaces.
+    pub(super) directions: Vec<Direction>,
+    /// The heading in the map that it has by these, and its deviation, in radians.
+    pub(super) heading: Option<(f64, f64)>,
     /// Where the ground is free: triangles.
     free: Vec<[Point2<f64>; 3]>,
     /// That ground in the map.
@@ -67,6 +72,8 @@ impl Piece {
             robot,
             views: Vec::new(),
             cloud: Cloud::default(),
+            directions: Vec::new(),
+            heading: None,
             free: Vec::new(),
             ground: BTreeMap::new(),
             step,
@@ -84,6 +91,9 @@ impl Piece {
     /// Adds a view from a pose in the piece's frame.
     pub(super) fn add(&mut self, view: &View, at: Motion, is_seen: bool) {
         self.cloud.extend(view.surfels.iter().map(|surfel| surfel.moved(&at)));
+        let turn = at.rotation.angle();
+        let turned = |it: Direction| Direction { angle: it.angle + turn, ..it };
+        self.directions.extend(directions(&view.surfels).map(turned));
         self.free.extend(view.free.iter().map(|&[right, left]| {
             [Point2::origin(), right.into(), left.into()].map(|corner: Point2<f64>| at * corner)
         }));

@@ -49,12 +49,12 @@ impl Trajectories {
         let mut steps = core::mem::take(&mut self.steps);
         steps.retain_mut(|edge| self.keep(edge));
         self.steps = steps;
-        self.graph.absolutes.retain_mut(|it| {
+        self.absolutes.retain_mut(|it| {
             let is_kept = it.node >= AT_ONCE;
             it.node = it.node.saturating_sub(AT_ONCE);
             is_kept
         });
-        self.graph.absolutes.append(&mut self.held);
+        self.absolutes.append(&mut self.held);
         self.pieces.drain(..AT_ONCE);
         self.placed.drain(..AT_ONCE);
         self.graph.poses.drain(..AT_ONCE);

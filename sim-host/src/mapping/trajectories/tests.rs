@@ -292,3 +292,31 @@ fn a_robot_that_is_far_off_comes_back_where_the_whole_map_suggests() {
         assert_eq!(off(&all, &truth) < 0.5, is_suggested, "{}", off(&all, &truth));
     }
 }
+
+/// Cameras see it on two sides of the block; then its compass errs by three degrees, while it goes to where it sees
+/// nothing that it knows.
+#[test]
+fn a_robot_knows_its_heading_by_the_walls_alone() {
+    let (walls, robot, mut all) = (walls(), RobotId(3), Trajectories::default());
+    let (mut truth, mut reported, mut last) = (Motion::identity(), Motion::identity(), None);
+    let ways = round();
+    let seen = ways.len() / 2;
+    let jump = [(5.0, 0.0, 3.0)].into_iter().chain([(0.25, 0.0, 0.0); 8]);
+    let ways = ways[..seen].iter().map(|&(way, turn)| (way, turn, 0.0)).chain(jump);
+    for (second, (way, turn, err)) in (0u64..).zip(ways) {
+        let is_seen = second <= seen as u64;
+        let step = last.map(|last: Motion| Step::new(last.inv_mul(&reported), [0.05, 0.05], None));
+        let step = step.filter(|_| !is_seen);
+        let view = view(&walls, &truth, &reported, second);
+        all.add(robot, &view, reported, step, is_seen.then_some(truth));
+        match_all(&mut all);
+        last = Some(reported);
+        truth *= Motion::new(Vector2::new(way, 0.0), turn.to_radians());
+        reported *= Motion::new(Vector2::new(way, 0.0), (turn + err).to_radians());
+    }
+    (0..3).for_each(|_| solve(&mut all));
+    // The last motion is not in a view.
+    let found = all.newest(robot).unwrap() * last.unwrap().inv_mul(&reported);
+    let off = |pose: Motion| truth.rotation.rotation_to(&pose.rotation).angle().to_degrees().abs();
+    assert!(off(reported) > 2.9 && off(found) < 1.0, "{}, {}", off(reported), off(found));
+}
