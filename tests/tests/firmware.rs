@@ -45,7 +45,7 @@ struct CommandLine {
 const FITS: [(&str, [usize; 2]); 2] =
     [("mapping", [79 * 1024, 24 * 1024]), ("firmware", [106 * 1024, 36 * 1024])];
 
-/// Only one emulator runs at a time, because the runs are in real time.
+/// Only one emulator runs at a time, because some of the runs are in real time, and all images are built at one place.
 static ALONE: Mutex<()> = Mutex::new(());
 
 /// The unmodified images map, and one drives, in the simulated room in real time, by the bytes of a simulated A010
@@ -78,12 +78,20 @@ fn the_images_fit() {
 #[test]
 #[ignore = "runs an image in the emulator: cargo real-time"]
 fn the_image_maps_the_blind_ground() {
+    let _alone = ALONE.lock();
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("in-step");
     fs::create_dir_all(&folder).unwrap();
     let command = match in_step(&folder, None) {
         Ok(command) => command,
         Err(error) => return leave_out("the firmware drives", &error),
     };
+    let brief = || {
+        let line = ["simulate", "--robots", "1", "--ideal-cameras", "--in-step", &command];
+        let Report { pose, truth, driving, robots, .. } =
+            report(line.into_iter().chain(["--duration", "15"]));
+        format!("{pose:?} {truth:?} {driving:?} {robots:?}")
+    };
+    assert_eq!(brief(), brief(), "a run can be repeated");
     println!("| seed | blind ground | F1 | poses, RMS | collisions |\n|---|---|---|---|---|");
     for seed in seeds(1) {
         let seed = seed.to_string();
@@ -137,6 +145,7 @@ fn run(name: &str) -> Result<Run, EmulatorError> {
 #[test]
 #[ignore = "runs an image in the emulator: cargo real-time"]
 fn a_robot_gets_session_time_and_pose_again_from_the_next_server() {
+    let _alone = ALONE.lock();
     let emulator = match firmware().and_then(|image| Emulator::start(&image)) {
         Ok(emulator) => emulator,
         Err(error) => return leave_out("the firmware's conversation with the server", &error),

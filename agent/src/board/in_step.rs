@@ -28,7 +28,7 @@ pub(crate) struct Simulation {
 }
 
 impl Simulation {
-    /// `None` if the emulator has no semihosting.
+    /// `None` if the emulator's standard input or output can't be opened.
     pub(super) fn open() -> Option<Self> {
         let from = File::open(c"/dev/stdin").ok()?;
         let to = File::create(c"/dev/stdout").ok()?;

@@ -367,8 +367,9 @@ pub(super) fn was_reset_by_watchdog(rcc: &RCC) -> bool {
 }
 
 /// A number that differs from boot to boot. It combines the chip's random number generator, its
-/// unique id, and the phase of the clock. In the emulator only the phase is available, which
-/// depends on the host's speed: it distinguishes boots, but is not secret.
+/// unique id, and the phase of the clock. In the emulator only the phase is available. In real time that
+/// depends on the host's speed: it distinguishes boots, but is not secret. In step with a simulation each boot has the
+/// same.
 pub(super) fn boot_nonce(noise: &RNG, rcc: &mut Rcc) -> u64 {
     RNG::enable(rcc);
     noise.cr().modify(|_, w| w.rngen().set_bit());

@@ -71,7 +71,11 @@ pub fn start(command: &str) -> Result<Wire, WireError> {
         name: command.to_owned(),
         reason: reason.to_string(),
     };
-    let mut child = Command::new("sh")
+    let mut shell = Command::new("sh");
+    // Ctrl-C is for this program alone, which then ends in order.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut shell, 0);
+    let mut child = shell
         // So that the process itself, and not the shell, is killed.
         .args(["-c", &format!("exec {command}")])
         .stdin(Stdio::piped())

@@ -27,11 +27,10 @@ use ubimap_protocol::{
 
 use super::submaps::{self, Motion, motion, turned};
 use geometry::{position, rotated};
-
-pub(super) use geometry::line;
 use refinement::{CELL_DEVIATION, CELL_DEVIATION_MM, Hold, Refined, refine};
 use search::{candidates, rivals};
 
+pub(super) use geometry::line;
 pub use {
     points::{Reading, points, readings},
     search::{Prior, Search},

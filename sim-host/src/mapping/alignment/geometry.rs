@@ -1,4 +1,4 @@
-//! Points, lines and cells of the plane, in millimetres.
+//! Points, lines and cells of the plane, in millimetres; lines in any unit.
 
 use core::f64::consts::FRAC_PI_2;
 

@@ -1,8 +1,8 @@
 //! Where all robots were: their trajectories, held together by what they saw.
 //!
 //! A trajectory is cut into short pieces, which are rigid. From piece to piece a robot's motion is known; where cameras
-//! saw the robot, so is its pose; and pieces from which the same surfaces were seen are matched with each other. All of
-//! this is one [`PoseGraph`], solved with robust weights. Whatever robots have drawn, they drew at the poses that they
+//! saw the robot, so is its pose; pieces from which the same surfaces were seen are matched with each other; and where most
+//! walls are along two directions, these tell headings. All of this is one [`PoseGraph`], solved with robust weights. Whatever robots have drawn, they drew at the poses that they
 //! believed in then; where the graph puts the pieces now is where that belongs
 //! ([`PlacedLayer`](super::PlacedLayer)).
 //!
@@ -134,8 +134,11 @@ impl Trajectories {
         }
     }
 
-    /// Forgets what ground a robot has seen: its sensor was not where it was believed to be.
+    /// Forgets what ground a robot has seen, and what was learnt of the walls' directions: its sensor was not where it was
+    /// believed to be.
     pub fn void_ground(&mut self, robot: RobotId) {
+        self.compass = Compass::default();
+        self.pieces.iter_mut().for_each(|piece| piece.heading = None);
         let Some(trajectory) = self.robots.get_mut(&robot) else { return };
         trajectory.settled.ground.clear();
         trajectory.pieces.iter().for_each(|&number| self.pieces[number].void_ground());
@@ -287,16 +290,17 @@ impl Trajectories {
         if self.pieces[number].is_seen {
             return self.find(number);
         }
-        let piece = &mut self.pieces[number];
-        piece.heading = self.compass.heading(&piece.directions, here.rotation.angle());
         let there = suggested.filter(|it| !is_within(&here.inv_mul(it), FOUND));
-        let there = there.map(|there| self.matches_at(number, &there));
-        let mut found = self.matches_at(number, &here);
-        let support = self.support(number, &found);
-        if let Some(there) = there.filter(|it| self.support(number, it) > support) {
-            found = there;
+        let there = there.map(|there| (there, self.matches_at(number, &there)));
+        let mut best = (here, self.matches_at(number, &here));
+        let support = self.support(number, &best.1);
+        if let Some(there) = there.filter(|(_, it)| self.support(number, it) > support) {
+            best = there;
         }
-        self.pieces[number].held = found.covariance();
+        let (pose, found) = best;
+        let piece = &mut self.pieces[number];
+        piece.heading = self.compass.heading(&piece.directions, pose.rotation.angle());
+        piece.held = found.covariance();
         self.matches[number] = found.edges;
     }
 

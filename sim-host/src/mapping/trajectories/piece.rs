@@ -113,8 +113,9 @@ impl Piece {
         differs
     }
 
-    /// Forgets what ground is free.
+    /// Forgets what ground is free, and in which directions surfaces are.
     pub(super) fn void_ground(&mut self) {
+        self.directions.clear();
         self.free.clear();
         self.ground.clear();
     }

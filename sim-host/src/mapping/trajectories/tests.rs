@@ -293,8 +293,8 @@ fn a_robot_that_is_far_off_comes_back_where_the_whole_map_suggests() {
     }
 }
 
-/// Cameras see it on two sides of the block; then its compass errs by three degrees, while it goes to where it sees
-/// nothing that it knows.
+/// Cameras see it on two sides of the block; then its odometry misses a turn of three degrees, while it goes to where it
+/// sees nothing that it knows.
 #[test]
 fn a_robot_knows_its_heading_by_the_walls_alone() {
     let (walls, robot, mut all) = (walls(), RobotId(3), Trajectories::default());
@@ -319,4 +319,7 @@ fn a_robot_knows_its_heading_by_the_walls_alone() {
     let found = all.newest(robot).unwrap() * last.unwrap().inv_mul(&reported);
     let off = |pose: Motion| truth.rotation.rotation_to(&pose.rotation).angle().to_degrees().abs();
     assert!(off(reported) > 2.9 && off(found) < 1.0, "{}, {}", off(reported), off(found));
+    // Of a robot whose sensor was askew, all of that is wrong.
+    all.void_ground(robot);
+    assert_eq!(all.headings().count(), 0);
 }

@@ -10,7 +10,9 @@
 //! | of the robot | its time since boot in microseconds (8), then for each port a count (2) and as many bytes, which it has sent since its last message |
 //! | the answer | for each port a count (2); then the bytes of all, which have arrived at it by that time |
 //!
-//! A robot sends a message every millisecond or so. Its lines to the server carry 115,200 bits per second.
+//! A robot sends a message every millisecond or so, and reads each answer before the next. Its clock differs from the
+//! simulation's by up to 40 ppm. Its lines to and from the server carry 115,200 bits per second, and the devices' as well
+//! towards it; what it sends is out of its queues at once.
 
 use std::time;
 
@@ -29,8 +31,11 @@ use crate::{
     run::robot_clock::RobotClock,
 };
 
-/// Maximum time, of a clock on the wall, for which a robot may say nothing.
+/// Maximum wall-clock time for which a robot may say nothing.
 const PATIENCE: time::Duration = time::Duration::from_secs(30);
+
+/// Maximum number of messages with the same time.
+const STANDSTILL: u32 = 10_000;
 
 /// The latest time since boot in microseconds, which is past any run.
 const LATEST: u64 = 1 << 50;
@@ -40,6 +45,8 @@ pub(super) struct InStep {
     command: String,
     wire: Wire,
     clock: RobotClock,
+    /// Its time in the last message, in microseconds, and the number of messages with that.
+    shown: (u64, u32),
     /// A message whose time the simulation has not reached.
     waiting: Option<(Instant, PortBytes)>,
     /// The lines from and to the server.
@@ -62,6 +69,7 @@ impl InStep {
             command: command.to_owned(),
             wire: process::start(command)?,
             clock: RobotClock::from_boot(robot, seed),
+            shown: (0, 0),
             waiting: None,
             up: Line::new(BAUD),
             down: Line::new(BAUD),
@@ -82,9 +90,19 @@ impl InStep {
             bytes.resize(u16::from_le_bytes(count).into(), 0);
             self.read(bytes)?;
         }
-        let time = Instant(u64::from_le_bytes(time).min(LATEST));
-        // The clock of a robot never goes back.
-        let time = self.clock.server(time).max(self.now);
+        let shown = u64::from_le_bytes(time).min(LATEST);
+        let (last, count) = self.shown;
+        self.shown = (shown, if shown == last { count + 1 } else { 0 });
+        if shown < last {
+            return Err(self.ended(format!(
+                "has reset, after a fault in its program: its clock went from {last} to {shown} us"
+            )));
+        }
+        if count > STANDSTILL {
+            return Err(self.ended(format!("its clock stands still at {shown} us")));
+        }
+        // The simulation may have come a little further, as its clock is another one.
+        let time = self.clock.server(Instant(shown)).max(self.now);
         Ok((time, bytes))
     }
 
@@ -100,10 +118,13 @@ impl InStep {
     }
 
     fn silent(&self) -> WireError {
-        let how = format!(
+        self.ended(format!(
             "has said nothing for {} s; is the image built with the feature in-step?",
             PATIENCE.as_secs()
-        );
+        ))
+    }
+
+    fn ended(&self, how: String) -> WireError {
         WireError::Ended { name: self.command.clone(), how }
     }
 }
@@ -176,7 +197,7 @@ mod tests {
             robot.send([vec![7], vec![8, 9]]).unwrap();
         }
         assert_eq!(robot.arrived, [vec![7; 3], vec![8, 9, 8, 9, 8, 9]], "no answer yet");
-        // A clock that is 40 ppm fast or slow, as an emulated robot's is not, moves 10 ms by less than 1 us.
+        // A clock that is 40 ppm fast or slow moves 10 ms by less than 1 us.
         let (now, [server, sensor, wheels]) = robot.receive(Instant(20_000)).unwrap();
         assert!(now.micros().abs_diff(10_000) <= 1, "{now:?}");
         assert_eq!((server, sensor, wheels), (vec![], vec![], b"C".to_vec()));
@@ -189,20 +210,25 @@ mod tests {
     }
 
     #[test]
-    fn a_robot_that_has_ended_is_told_and_its_times_never_go_back() {
+    fn a_robot_that_has_ended_or_reset_or_stands_still_is_told() {
         // At 2^64 - 1 us nothing.
         let late = r"\377\377\377\377\377\377\377\377\0\0\0\0\0\0";
         let mut it = robot(late);
         assert_eq!(it.receive(Instant(7)).unwrap(), (Instant(7), PortBytes::default()));
 
-        let mut it = robot(&[FIRST, SECOND, FIRST].concat());
-        let mut last = Instant(0);
-        for _ in 0..3 {
-            let (now, _) = it.receive(Instant(20_000)).unwrap();
-            assert!(now >= last);
-            last = now;
-            it.send(Default::default()).unwrap();
-        }
+        let end = |mut it: InStep| {
+            loop {
+                match it.receive(Instant(20_000)) {
+                    Ok(_) => it.send(Default::default()).unwrap(),
+                    Err(error) => break error.to_string(),
+                }
+            }
+        };
+        let reset = end(robot(&[FIRST, SECOND, FIRST].concat()));
+        assert!(reset.contains("has reset") && reset.contains("from 10087 to 10000 us"), "{reset}");
+        let command = format!("sh -c 'while printf \"{SECOND}\"; do :; done'");
+        let still = end(InStep::start(&command, RobotId(1), 1).unwrap());
+        assert!(still.contains("stands still at 10087 us"), "{still}");
 
         let mut it = InStep::start("true", RobotId(1), 1).unwrap();
         let error = it.receive(Instant(7)).unwrap_err();
