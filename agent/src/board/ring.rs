@@ -19,17 +19,18 @@ impl Ring {
     }
 
     pub(super) fn is_empty(&self) -> bool {
-        self.len() == 0
+        self.room() == self.bytes.len()
     }
 
     /// Number of bytes in it.
+    #[cfg(any(feature = "rp2", feature = "in-step"))]
     pub(super) fn len(&self) -> usize {
-        let (put, taken) = (self.put.load(Ordering::Acquire), self.taken.load(Ordering::Acquire));
-        put.wrapping_sub(taken).min(self.bytes.len())
+        self.bytes.len() - self.room()
     }
 
     pub(super) fn room(&self) -> usize {
-        self.bytes.len() - self.len()
+        let (put, taken) = (self.put.load(Ordering::Acquire), self.taken.load(Ordering::Acquire));
+        self.bytes.len() - put.wrapping_sub(taken).min(self.bytes.len())
     }
 
     /// Puts a byte; `false` if the queue is full.
