@@ -2,7 +2,7 @@
 //!
 //! The walls of most buildings are along two directions at right angles (Coughlan and Yuille, ICCV 1999). What robots see
 //! while cameras see them tells these directions in the map; what they see elsewhere then tells their headings, which so
-//! don't drift. Where no direction stands out, and of a view of which less than half is along one, it says nothing. How well
+//! don't drift. Where no direction stands out, or less than half of a view is along it, there is no heading. How well
 //! it tells known headings is how far it is trusted with the others: old buildings, and maps that were drawn by SLAM, are
 //! bent by a degree or two. A wing that is askew by less than [`ALONG`], and in which cameras see no robot, is taken to be
 //! straight.
@@ -34,7 +34,7 @@ const LEAST_SHARE_ALONG: f64 = 0.5;
 const LEAST_TOLD: u32 = 8;
 /// Deviation of a heading by what a view shows of straight walls, in radians.
 const BY_VIEW: f64 = 0.01;
-/// Factor on the errors with known headings: walls side by side have the same error, so many views of them tell no more
+/// Factor on the errors with known headings: neighbouring walls share an error, so many views of them are worth no more
 /// than one.
 const WARY: f64 = 3.0;
 
@@ -47,7 +47,7 @@ pub(super) struct Direction {
     pub(super) weight: f64,
 }
 
-/// The directions of the surfaces in a view, of which each row of points counts, in the view's frame.
+/// The directions of the surfaces in a view, one for each row of points, in the view's frame.
 pub(super) fn directions(surfels: &[Surfel]) -> impl Iterator<Item = Direction> {
     surfels.windows(ROW).filter_map(|row| {
         let points: Vec<Vector2<f64>> = row.iter().map(|it| it.at).collect();
@@ -186,7 +186,7 @@ mod tests {
             compass.learn(&room(f64::from(turned) * PI / 60.0), 0.0);
         }
         assert_eq!(compass.heading(&room(0.1), 0.0), None, "a round tower");
-        // A view of which the greater part is askew, or nearly nothing was seen.
+        // Most of the view is askew, or hardly anything was seen.
         let compass = learnt(0.1);
         let mut askew = room(0.5);
         askew.extend(room(0.6));

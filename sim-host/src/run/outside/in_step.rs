@@ -156,7 +156,7 @@ impl Link for InStep {
         }
         let [sensor, wheels] = std::mem::take(&mut self.arrived);
         let mut ports = [self.down.poll(self.now), sensor, wheels];
-        // A robot that says nothing for so long has no room for them.
+        // So many arrive only after seconds without a message, when the robot's queues are full.
         ports.iter_mut().for_each(|bytes| bytes.truncate(u16::MAX.into()));
         let counts = ports.iter().flat_map(|bytes| (bytes.len() as u16).to_le_bytes());
         let answer: Vec<u8> = counts.chain(ports.concat()).collect();
@@ -177,7 +177,7 @@ impl Link for InStep {
 mod tests {
     use super::*;
 
-    /// A robot that says this, given as octal escapes, then prints what it is told.
+    /// A robot that writes these bytes (octal escapes), and then copies what it receives to standard error.
     fn robot(says: &str) -> InStep {
         let command = format!("sh -c 'printf \"{says}\"; exec cat >&2'");
         InStep::start(&command, RobotId(1), 1).unwrap()
