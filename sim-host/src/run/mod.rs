@@ -265,6 +265,11 @@ pub enum RunError {
         /// Number of robots in the scenario.
         there: usize,
     },
+    /// A robot outside needs a scenario with cameras.
+    #[error(
+        "--outside, --in-step: the scenario has no fixed cameras, so nobody can tell the robot where it is; add [[camera]]s to it, or choose another"
+    )]
+    NoCameraForOutside,
     /// A scale table can't be read or fitted.
     #[error("{name}: {reason}")]
     Scale {
@@ -339,6 +344,7 @@ impl RunError {
             | Self::TooManyRobots { .. }
             | Self::NoSuchCamera { .. }
             | Self::OneRobot { .. }
+            | Self::NoCameraForOutside
             | Self::Scale { .. }
             | Self::BoundaryNeedsPictures
             | Self::TooManyTiles { .. }

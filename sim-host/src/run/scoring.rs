@@ -33,9 +33,7 @@ const TRAIL_M: f64 = 0.6;
 
 /// Errors of the robots' own pose estimates.
 pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
-    let outside = fleet.outside().map(|robot| robot.path());
-    let paths = fleet.robots().iter().map(|robot| robot.path()).chain(outside);
-    errors(paths.zip(tracks).flat_map(|(path, track)| {
+    errors(paths(fleet).zip(tracks).flat_map(|(path, track)| {
         let path = path.iter();
         path.filter_map(|&(moment, pose)| {
             Some((pose, true_pose(track, moment).filter(|_| moment.0 >= SETTLED.0)?))
@@ -45,14 +43,19 @@ pub fn pose_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> PoseErrors {
 
 /// Times and position errors of the robots' own pose estimates, in metres.
 pub(super) fn position_errors(fleet: &Fleet<'_>, tracks: &[Vec<Pose>]) -> Vec<(Instant, f64)> {
-    let robots = fleet.robots().iter().zip(tracks);
-    let errors = robots.flat_map(|(robot, track)| {
-        robot.path().iter().filter_map(|&(moment, pose)| {
+    let errors = paths(fleet).zip(tracks).flat_map(|(path, track)| {
+        path.iter().filter_map(|&(moment, pose)| {
             let truth = true_pose(track, moment)?;
             Some((moment, (pose.x - truth.x).metres().hypot((pose.y - truth.y).metres())))
         })
     });
     errors.collect()
+}
+
+/// What each robot believed, including the one outside.
+fn paths<'f>(fleet: &'f Fleet<'_>) -> impl Iterator<Item = &'f [(Instant, Pose)]> {
+    let outside = fleet.outside().map(|robot| robot.path());
+    fleet.robots().iter().map(|robot| robot.path()).chain(outside)
 }
 
 /// The longest time before `until` for which a robot that drives stayed within [`STANDS_M`] of one place.

@@ -245,6 +245,9 @@ fn furnished(options: &SimulateOptions) -> Result<Furnished, RunError> {
     if options.place().is_some() && there != 1 {
         return Err(RunError::OneRobot { there });
     }
+    if options.place().is_some() && scenario.cameras.is_empty() {
+        return Err(RunError::NoCameraForOutside);
+    }
     for robot in &mut scenario.robots {
         robot.identifier_askew_deg += options.identifier_askew;
     }

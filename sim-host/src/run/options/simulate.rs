@@ -17,6 +17,27 @@ use crate::{
     world::{NAMED, Scenario},
 };
 
+/// What a robot outside does by itself, and the channel to it, which can't be spoilt from here.
+const SIMULATED: [&str; 17] = [
+    "scripted",
+    "motion",
+    "sensor",
+    "peer_mask",
+    "policy",
+    "gate",
+    "pixel_model",
+    "exposure",
+    "drivers",
+    "tiles",
+    "points",
+    "loss",
+    "duplicate",
+    "reorder",
+    "corrupt",
+    "latency",
+    "cut",
+];
+
 /// Options of `ubimap simulate`.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Scenario")]
@@ -63,7 +84,7 @@ pub struct SimulateOptions {
     pub motion: MotionName,
 
     /// The robots' sensor, instead of the scenario's
-    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t, conflicts_with_all = ["drivers", "outside", "in_step", "log"])]
+    #[arg(long, help_heading = "Cameras and robots", value_enum, default_value_t, conflicts_with_all = ["drivers", "log"])]
     pub sensor: SensorName,
 
     /// What robots leave out around other robots
@@ -98,17 +119,17 @@ pub struct SimulateOptions {
 
     /// Let the robots read an A010 depth camera and drive a Create 2, byte by byte through the drivers
     /// of a real robot; their own sensors are replaced
-    #[arg(long, help_heading = "Cameras and robots", conflicts_with_all = ["scripted", "outside", "in_step"])]
+    #[arg(long, help_heading = "Cameras and robots", conflicts_with = "scripted")]
     pub drivers: bool,
 
     /// Let a robot outside, such as a board or an emulator, be the scenario's robot, in real time: its
     /// serial ports to the server, to a simulated A010 depth camera and to a simulated Create 2
-    #[arg(long, help_heading = "Cameras and robots", value_name = "SERVER,SENSOR,WHEELS", conflicts_with_all = ["scripted", "motion", "tiles", "in_step"])]
+    #[arg(long, help_heading = "Cameras and robots", value_name = "SERVER,SENSOR,WHEELS", conflicts_with = "in_step", conflicts_with_all = SIMULATED)]
     pub outside: Option<serial_ports::Paths>,
 
     /// Let a command run the scenario's robot, such as an emulator with an image: the same ports over its standard
     /// input and output, in the simulation's time, which is that of the command
-    #[arg(long, help_heading = "Cameras and robots", value_name = "COMMAND", conflicts_with_all = ["scripted", "motion", "tiles"])]
+    #[arg(long, help_heading = "Cameras and robots", value_name = "COMMAND", conflicts_with_all = SIMULATED)]
     pub in_step: Option<String>,
 
     /// Ignore the labels and classes of the scenario
