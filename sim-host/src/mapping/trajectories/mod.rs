@@ -1,10 +1,10 @@
 //! Where all robots were: their trajectories, held together by what they saw.
 //!
 //! A trajectory is cut into short pieces, which are rigid. From piece to piece a robot's motion is known; where cameras
-//! saw the robot, so is its pose; pieces from which the same surfaces were seen are matched with each other; and where most
-//! walls are along two directions, these tell headings. All of this is one [`PoseGraph`], solved with robust weights. Whatever robots have drawn, they drew at the poses that they
-//! believed in then; where the graph puts the pieces now is where that belongs
-//! ([`PlacedLayer`](super::PlacedLayer)).
+//! saw the robot, so is its pose; pieces from which the same surfaces were seen are matched with each other; and where
+//! most walls are along two directions, these tell headings. All of this is one [`PoseGraph`], solved with robust
+//! weights. Whatever robots have drawn, they drew at the poses that they believed in then; where the graph puts the
+//! pieces now is where that belongs ([`PlacedLayer`](super::PlacedLayer)).
 //!
 //! The newest 4,000 pieces can move; the corrections of older ones are settled. Units are metres and radians.
 //! Deterministic.

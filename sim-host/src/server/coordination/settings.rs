@@ -414,7 +414,7 @@ impl Default for ExplorationRules {
             most_looks: 3,
             patience: Duration::from_secs(2),
             put_off: Duration::from_secs(20),
-            blind_m: 15.0,
+            blind_m: 40.0,
             within_m: 0.3,
             recall_again: Duration::from_secs(30),
             returns_after: None,

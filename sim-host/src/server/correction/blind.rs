@@ -16,7 +16,7 @@ use ubimap_protocol::{
 use super::{
     booted::Booted,
     drift::Drift,
-    odometry::{Reported, TurnScale, Variances},
+    odometry::{OdometryScales, Reported, ScaleError, Variances},
 };
 use crate::{
     mapping::{
@@ -48,6 +48,12 @@ const BENT: f64 = 0.03;
 const STEPPED: Variances = Variances::of(20.0, 0.01);
 /// Maximum deviation of a followed robot's heading, in radians, to learn from it.
 const SURE: f64 = 0.02;
+/// Maximum turn (rad) of a way that counts as straight, and maximum deviation (mm) of a match along it, to learn from it.
+const STRAIGHT: f64 = 0.1;
+const TOLD_MM: f64 = 22.0;
+/// Deviation (mm) of what such a match corrects a way by. It is smaller than the match's own, since the surfaces are those
+/// of the views before.
+const CORRECTED_MM: f64 = 8.0;
 /// Part of the way that a robot's pose goes to where the trajectories put it, with each view: a wrong match among them, which
 /// is taken back after some seconds, moves it little.
 const SETTLING: f64 = 0.2;
@@ -125,15 +131,15 @@ impl BlindTrip {
     }
 
     /// Finds the pose from which the robot saw the points of a distance vector, and adds them to
-    /// the trail. `None` if the robot has booted, and they do not tell where. `scale` is the robot's; it is learnt on the
-    /// way.
+    /// the trail. `None` if the robot has booted, and they do not tell where. `scales` are the robot's; they are learnt on
+    /// the way.
     pub(super) fn locate(
         &mut self,
         robot: RobotId,
         vector: &DistanceVector,
         points: &[[f64; 2]],
         (map, resolution): (&SharedMap, Millimetres),
-        scale: &mut TurnScale,
+        scales: &mut OdometryScales,
         mut trajectories: Option<&mut Trajectories>,
     ) -> Option<Match> {
         let settled = ((vector.time.micros() / 1_000_000) as u32).saturating_sub(OWN_AGE);
@@ -166,7 +172,7 @@ impl BlindTrip {
         };
         self.settle(trajectories.as_ref().and_then(|it| it.newest(robot)));
         let followed_from = self.at;
-        let followed = self.follow(&rolled, points, near, scale);
+        let followed = self.follow(&rolled, points, near, scales);
         let by = followed_from.inv_mul(&self.at);
         self.trail.add(submaps::pose(&self.at), points, resolution);
         let strayed = Variances::of_motion(&rolled);
@@ -230,9 +236,9 @@ impl BlindTrip {
         rolled: &Motion,
         points: &[[f64; 2]],
         near: impl Fn(&Trail, Pose) -> Surfaces,
-        scale: &mut TurnScale,
+        scales: &mut OdometryScales,
     ) -> Option<Match> {
-        let predicted = submaps::pose(&(self.at * scale.corrected(rolled)));
+        let predicted = submaps::pose(&(self.at * scales.corrected(rolled)));
         let bent = Variances::of(0.0, BENT * rolled.translation.vector.norm());
         let strayed = Variances::of_motion(rolled).plus(VIEWED).plus(bent);
         let (place, turn) = strayed.deviations();
@@ -245,13 +251,16 @@ impl BlindTrip {
         // A match that contradicts the odometry by more than it can err is wrong. It contains what the odometry says.
         let followed = followed.filter(|it| strayed.allow(predicted, it.pose));
         let pose = followed.map_or(predicted, |it| it.pose);
+        if let Some(found) = &followed {
+            learn_way(&mut scales.ways, rolled, predicted, found);
+        }
         let from = core::mem::replace(&mut self.at, motion(pose));
         let way = self.at.translation.vector - from.translation.vector;
         let way = self.frame.rotation * (1_000.0 * way);
         match followed.map(|it| it.deviations()) {
             Some([.., seen]) if seen < SURE => {
                 let off = (predicted.heading - pose.heading).radians();
-                scale.learn(rolled.rotation.angle(), off, strayed.turn + seen * seen);
+                scales.turns.learn(rolled.rotation.angle(), off, strayed.turn + seen * seen);
                 self.drift.go(way, None);
             }
             _ => self.drift.go(way, Some(strayed)),
@@ -273,6 +282,18 @@ impl BlindTrip {
                 Angle::from_radians((STRAYS.1 * (way + turned).sqrt()).min(1.0)),
             ),
         }
+    }
+}
+
+/// Learns from a way straight ahead towards surfaces that tell how long it was.
+fn learn_way(scale: &mut ScaleError, rolled: &Motion, predicted: Pose, found: &Match) {
+    let ahead = motion(predicted).rotation * Vector2::x();
+    let place = found.covariance.fixed_view::<2, 2>(0, 0);
+    let is_told = ahead.dot(&(place * ahead)) <= TOLD_MM * TOLD_MM;
+    if is_told && rolled.rotation.angle().abs() <= STRAIGHT {
+        let off = Vector2::new(predicted.x - found.pose.x, predicted.y - found.pose.y);
+        let off_mm = ahead.dot(&off.map(|it| f64::from(it.0)));
+        scale.learn(1e3 * rolled.translation.vector.x, off_mm, CORRECTED_MM * CORRECTED_MM);
     }
 }
 

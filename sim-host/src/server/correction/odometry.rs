@@ -1,4 +1,5 @@
-//! What a robot tells of its odometry: how it moved from one view to the next, and by how much it misjudges turns.
+//! What a robot tells of its odometry: how it moved from one view to the next, and by how much it misjudges ways and
+//! turns.
 
 use nalgebra::UnitComplex;
 use ubimap_agent::locate::OdometryNoise;
@@ -15,9 +16,9 @@ use crate::mapping::{
 
 /// Squared Mahalanobis distance within which a pose may be corrected: three deviations.
 const CORRECTABLE: f64 = 9.0;
-/// Deviation of the scale of a robot's turns before anything is known.
+/// Deviation of a scale of a robot's odometry before anything is known.
 const SCALE: f64 = 0.01;
-/// By how much (deviation) that scale may change while cameras see the robot, which then learns itself.
+/// By how much (deviation) such a scale may change while cameras see the robot, which then learns itself.
 const RELEARNT: f64 = 0.002;
 /// A robot is assumed not to drive farther between two vectors than this distance (m), and this (m/s) times the time that
 /// has passed.
@@ -110,45 +111,62 @@ impl Reported {
     }
 }
 
-/// The scale error of a robot's turns: what its own calibration has left, or made. Robots learn theirs where
-/// cameras see them; a few turns there leave a per cent, which is four degrees in each look around.
+/// The scale errors of a robot's odometry: what its own calibration has left, or made. Robots learn theirs where cameras
+/// see them; the little that they drive there leaves a per cent, which is four degrees in each look around, and a quarter
+/// of a metre in a long corridor.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct OdometryScales {
+    /// Of distances.
+    pub(super) ways: ScaleError,
+    /// Of turns.
+    pub(super) turns: ScaleError,
+}
+
+impl OdometryScales {
+    /// The true motion, for one that the robot's odometry says.
+    pub(super) fn corrected(&self, rolled: &Motion) -> Motion {
+        let turn = rolled.rotation.angle();
+        let off = -self.turns.value * turn;
+        // The heading goes wrong little by little on the way.
+        let way = UnitComplex::new(0.5 * off) * rolled.translation.vector;
+        Motion::new((1.0 - self.ways.value) * way, turn + off)
+    }
+
+    /// The robot was in view, and may have learnt a little more.
+    pub(super) fn doubt(&mut self) {
+        self.ways.doubt();
+        self.turns.doubt();
+    }
+}
+
+/// A scale error that is being learnt.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct TurnScale {
-    /// 0.01 if the robot reports turns as one per cent too large.
+pub(super) struct ScaleError {
+    /// 0.01 if the robot reports one per cent too much.
     value: f64,
     variance: f64,
 }
 
-impl Default for TurnScale {
+impl Default for ScaleError {
     fn default() -> Self {
         Self { value: 0.0, variance: SCALE * SCALE }
     }
 }
 
-impl TurnScale {
-    /// The true motion, for one that the robot's odometry says.
-    pub(super) fn corrected(&self, rolled: &Motion) -> Motion {
-        let turn = rolled.rotation.angle();
-        let off = -self.value * turn;
-        // The heading goes wrong little by little on the way.
-        let way = UnitComplex::new(0.5 * off) * rolled.translation.vector;
-        Motion::new(way, turn + off)
-    }
-
-    /// Learns from a turn (rad) after which the predicted heading was `off` (rad), known with this variance.
-    /// Outliers, from a wrong match or a push, are ignored.
-    pub(super) fn learn(&mut self, turn: f64, off: f64, variance: f64) {
-        let sum = self.variance * turn * turn + variance;
+impl ScaleError {
+    /// Learns from a reported `amount`, which, as it was corrected, was too large by `off`; this is known with this
+    /// variance, in the same unit. Outliers, from a wrong match or a push, are ignored.
+    pub(super) fn learn(&mut self, amount: f64, off: f64, variance: f64) {
+        let sum = self.variance * amount * amount + variance;
         if off * off > 9.0 * sum {
             return;
         }
-        let gain = self.variance * turn / sum;
+        let gain = self.variance * amount / sum;
         self.value += gain * off;
-        self.variance *= 1.0 - gain * turn;
+        self.variance *= 1.0 - gain * amount;
     }
 
-    /// The robot was in view, and may have learnt a little more.
-    pub(super) fn doubt(&mut self) {
+    fn doubt(&mut self) {
         self.variance = (self.variance + RELEARNT * RELEARNT).min(SCALE * SCALE);
     }
 }
@@ -200,21 +218,32 @@ mod tests {
     }
 
     #[test]
-    fn the_scale_of_turns_is_learnt_from_noisy_turns_to_both_sides() {
+    fn scales_are_learnt_from_noisy_motions_ahead_and_to_both_sides() {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
-        let mut scale = TurnScale::default();
-        let noise = 0.5f64.to_radians();
+        let mut scales = OdometryScales::default();
+        let (noise, noise_m) = (0.5f64.to_radians(), 0.008);
         for lesson in 0..200 {
-            let turn = rng.random_range(-1.0..1.0);
-            let said = 1.015 * turn + rng.random_range(-1.7..1.7) * noise;
-            let predicted = scale.corrected(&Motion::new(nalgebra::Vector2::zeros(), said));
+            let (way, turn) = (rng.random_range(0.0..0.5), rng.random_range(-1.0..1.0));
+            let mut said = |true_one: f64, scale: f64, noise: f64| {
+                scale * true_one + rng.random_range(-1.7..1.7) * noise
+            };
+            let (said, turned) = (said(way, 0.99, noise_m), said(turn, 1.015, noise));
+            let along = |way: f64| nalgebra::Vector2::new(way, 0.0);
+            let ahead = scales.corrected(&Motion::new(along(said), 0.0)).translation.vector.x;
+            let predicted = scales.corrected(&Motion::new(along(0.0), turned));
             // Each tenth view is matched wrongly.
             let wrong = if lesson % 10 == 0 { 0.2 } else { 0.0 };
-            scale.learn(said, predicted.rotation.angle() - turn + wrong, noise * noise);
+            scales.ways.learn(said, ahead - way + wrong, noise_m * noise_m);
+            scales.turns.learn(turned, predicted.rotation.angle() - turn + wrong, noise * noise);
         }
-        assert!((scale.value - 0.015).abs() < 0.003, "{scale:?}");
-        let sure = scale.variance;
-        scale.doubt();
-        assert!(scale.variance > sure && scale.variance <= SCALE * SCALE);
+        let OdometryScales { ways, turns } = scales;
+        assert!(
+            (ways.value + 0.01).abs() < 0.004 && (turns.value - 0.015).abs() < 0.003,
+            "{scales:?}"
+        );
+        scales.doubt();
+        for (sure, scale) in [(ways, scales.ways), (turns, scales.turns)] {
+            assert!(scale.variance > sure.variance && scale.variance <= SCALE * SCALE);
+        }
     }
 }

@@ -12,7 +12,7 @@ use ubimap_protocol::{
 use super::{
     blind::{BlindTrip, reach},
     cure::{Cure, CureStep},
-    odometry::{Reported, TurnScale},
+    odometry::{OdometryScales, Reported},
 };
 use crate::{
     mapping::{
@@ -53,7 +53,7 @@ pub(super) struct RobotCorrection {
     fixes: VecDeque<(Instant, Pose)>,
     blind: Option<BlindTrip>,
     /// Outlasts the trips.
-    scale: TurnScale,
+    scales: OdometryScales,
     next_look: Instant,
 }
 
@@ -81,7 +81,7 @@ impl RobotCorrection {
         }
         let pose = self.errors.fix(captured, seen);
         if self.blind.take().is_some() {
-            self.scale.doubt();
+            self.scales.doubt();
         }
         self.fixes.push_back((captured, pose));
         self.fixes.retain(|&(moment, _)| captured.since(moment) <= FIX_HISTORY);
@@ -135,7 +135,7 @@ impl RobotCorrection {
             return None;
         }
         let views = (map, resolution);
-        let found = blind.locate(robot, vector, &points, views, &mut self.scale, trajectories)?;
+        let found = blind.locate(robot, vector, &points, views, &mut self.scales, trajectories)?;
         Some(Finding::Fix(fix_of(&found, vector.time)))
     }
 
