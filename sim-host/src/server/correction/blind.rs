@@ -342,4 +342,30 @@ mod tests {
         );
         assert_eq!(submaps::pose(&trip.at), vector.pose, "its own way is as it was");
     }
+
+    #[test]
+    fn the_scale_of_ways_is_learnt_from_straight_ones_that_the_surfaces_tell() {
+        // The odometry says 40 cm of each 39.6; the surfaces tell the way along and across to so many millimetres.
+        let scale = |degrees: f64, turn: f64, along: f64, across: f64| {
+            let mut scales = OdometryScales::default();
+            let (from, by) = (motion(Pose::from_metres(1.0, 2.0, degrees.to_radians())), 0.4);
+            let turned = submaps::turned(from.rotation.angle());
+            let known = nalgebra::Vector3::new(along * along, across * across, 1e-4);
+            let covariance = turned * nalgebra::Matrix3::from_diagonal(&known) * turned.transpose();
+            for _ in 0..200 {
+                let rolled = Motion::new(Vector2::new(by, 0.0), turn);
+                let predicted = submaps::pose(&(from * scales.corrected(&rolled)));
+                let found =
+                    submaps::pose(&(from * Motion::new(Vector2::new(0.99 * by, 0.0), turn)));
+                learn_way(&mut scales.ways, &rolled, predicted, &Match { pose: found, covariance });
+            }
+            1.0 - scales.corrected(&Motion::translation(1.0, 0.0)).translation.x
+        };
+        for degrees in [0.0, 90.0, 200.0] {
+            let told = scale(degrees, 0.02, 15.0, 400.0);
+            assert!((told - 0.01).abs() < 0.003, "{told}");
+            assert_eq!(scale(degrees, 0.02, 400.0, 15.0), 0.0, "along a corridor");
+            assert_eq!(scale(degrees, 0.5, 15.0, 15.0), 0.0, "in a turn");
+        }
+    }
 }
