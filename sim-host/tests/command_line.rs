@@ -43,6 +43,12 @@ fn wrong_usage_and_invalid_input_are_refused_in_one_line() {
     refused(&["simulate", "--outside", "a,b"], "must be three ports");
     refused(&["simulate", "--outside", "a,b,c"], "choose one with --robots 1");
     refused(&["simulate", "--robots", "1", "--outside", "/no/a,b,c"], "/no/a: ");
+    refused(&["simulate", "--outside", "a,b,c", "--loss", "0.1"], "--loss");
+    refused(&["simulate", "--in-step", "x", "--policy", "full"], "--policy");
+    refused(
+        &["simulate", "aluckal-room", "--robots", "1", "--in-step", "x"],
+        "the scenario has no fixed cameras",
+    );
     refused(&["simulate", "room", "--map", "bad.yaml"], "scenario room with --map bad.yaml: ");
     refused(&["simulate", "--out", "/dev/null/x"], "/dev/null/x: ");
     refused(&["replay"], "LOG");

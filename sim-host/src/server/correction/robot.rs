@@ -88,8 +88,9 @@ impl RobotCorrection {
         pose
     }
 
-    /// Begins a trip of the robot, which has booted, around the place where it was.
+    /// Begins a trip of the robot, which has booted, around the place where it was. It has forgotten its calibration.
     pub(super) fn seek(&mut self, about: &Place) {
+        self.scales = OdometryScales::default();
         self.blind = Some(BlindTrip::about(about));
     }
 
