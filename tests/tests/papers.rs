@@ -98,7 +98,7 @@ const AT_ONCE_S: f64 = 5.0;
 
 #[test]
 fn what_is_likely_to_move_is_looked_at_again() {
-    // When a robot comes by again depends on what else there is to look at: 8 to 134 s with six seeds. Where it has
+    // When a robot comes by again depends on what else there is to look at: 8 to 216 s with six seeds. Where it has
     // looked three times in vain just before a change, it does so after five minutes.
     let mut closets_by_chance = 0;
     let later = (1..=4).filter(|&seed| {

@@ -267,7 +267,7 @@ pub enum RunError {
     },
     /// A robot outside needs a scenario with cameras.
     #[error(
-        "--outside, --in-step: the scenario has no fixed cameras, so nobody can tell the robot where it is; add [[camera]]s to it, or choose another"
+        "--outside, --in-step: the scenario has no fixed cameras, so nobody can tell the robot where it is; add [[cameras]] to it, or choose another"
     )]
     NoCameraForOutside,
     /// A scale table can't be read or fitted.

@@ -1,7 +1,7 @@
 //! A robot that runs in step with the simulation: a command, such as an emulator with an image, which waits for the
 //! simulation as the simulation waits for it. So neither is late, however busy the computer is, and a run can be
-//! repeated byte by byte if the command's time depends on nothing but its input. Runs with QEMU, which counts instructions,
-//! were the same mostly, not always.
+//! repeated byte by byte if the command's time depends on nothing but its input. Runs with QEMU, which counts
+//! instructions, were the same mostly, not always.
 //!
 //! Robot and simulation take turns over the command's standard input and output. Numbers are little-endian; the ports
 //! are those to the server, the sensor and the wheels, in this order.
