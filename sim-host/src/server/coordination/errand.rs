@@ -4,7 +4,7 @@ use core::fmt;
 
 use ubimap_protocol::units::RobotId;
 
-use super::{coordinator::Coordinator, ground::Point};
+use super::{coordinator::Coordinator, ground::Point, target::Target};
 
 /// What a robot is doing for the coordinator. The text continues a sentence that starts with the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,6 +23,8 @@ pub enum Errand {
     NoWay([f64; 2]),
     /// It drives to look at unknown ground there.
     Looks([f64; 2]),
+    /// It is shut in, and drives to this place to look again at what blocks its way.
+    LooksForWay([f64; 2]),
     /// It stands because somebody is in its way to this place.
     HeldUp([f64; 2]),
     /// It was blocked this many times in a row where it stands, and pauses.
@@ -35,15 +37,19 @@ impl Coordinator {
         let member = &self.members[self.index(robot).ok()?];
         let place = |point: Point| [point.x, point.y];
         let goal = member.goal.map(place);
-        let target = member.target.map(|target| place(target.frontier));
+        let look = |target: Target| match target.is_shut_in {
+            true => Errand::LooksForWay(place(target.view)),
+            false => Errand::Looks(place(target.frontier)),
+        };
         if let Some(trouble) = member.trouble.filter(|_| member.halted.is_some()) {
             return Some(Errand::Blocked(trouble.times));
         }
-        Some(match (goal, target) {
-            (Some(to), _) | (None, Some(to)) if member.held_up.is_some() => Errand::HeldUp(to),
+        let held_up = member.held_up.and(goal.or(member.target.map(|it| place(it.frontier))));
+        Some(match (goal, member.target) {
+            _ if held_up.is_some() => Errand::HeldUp(held_up?),
             (Some(goal), _) if member.is_told => Errand::NoWay(goal),
             (Some(goal), _) => Errand::Goal(goal),
-            (None, Some(frontier)) => Errand::Looks(frontier),
+            (None, Some(target)) => look(target),
             (None, None) if member.recall.is_none() => {
                 member.refuge.map_or(Errand::Waits, |it| Errand::Recalled(place(it)))
             }
@@ -62,6 +68,12 @@ impl fmt::Display for Errand {
             Self::Goal([x, y]) => write!(f, "drives to {x:.2} m, {y:.2} m"),
             Self::NoWay([x, y]) => write!(f, "has no way to {x:.2} m, {y:.2} m"),
             Self::Looks([x, y]) => write!(f, "explores: looks at {x:.2} m, {y:.2} m"),
+            Self::LooksForWay([x, y]) => {
+                write!(
+                    f,
+                    "explores; is shut in, and looks again at what blocks its way, at {x:.2} m, {y:.2} m"
+                )
+            }
             Self::Returns([x, y]) => {
                 write!(
                     f,

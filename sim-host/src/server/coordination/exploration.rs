@@ -16,6 +16,9 @@ impl Coordinator {
     pub(super) fn share_out(&mut self, now: Instant) {
         let Some(ground) = self.ground.take() else { return };
         self.tried.retain(|tried| now < tried.until);
+        for member in &mut self.members {
+            member.no_way_out.retain(|tried| now < tried.until);
+        }
         self.frontiers.clear();
         if self.members.iter().any(|member| member.explores) {
             self.frontiers = frontiers(&ground, &self.settings);
@@ -39,28 +42,38 @@ impl Coordinator {
             // A frontier that remains after the robot has looked can't be seen from this viewpoint.
             let is_vain = target.is_heard_of(arrives, now)
                 || target.reached.is_some_and(|reached| now.since(reached) >= look);
-            if is_vain && is_left {
+            if target.is_shut_in && is_vain {
+                member.no_way_out.push(Tried::new(&target, now + rules.tried_for));
+            } else if is_vain && is_left {
                 self.tried.push(Tried::new(&target, now + rules.tried_for));
             }
-            if is_vain || !is_left {
+            if is_vain || !is_left && !target.is_shut_in {
                 member.target = None;
             }
         }
     }
 
     fn assign_targets(&mut self, ground: &Ground, now: Instant) {
-        let taken: Vec<Target> = self.members.iter().filter_map(|member| member.target).collect();
-        let open = self.open_frontiers(&taken);
+        let (open, taken) = self.frontiers_left();
+        // The open ones come first.
+        let left: Vec<&Frontier> = open.iter().chain(&taken).copied().collect();
         let is_idle = |index: &usize| self.members[*index].is_idle();
         let idle: Vec<usize> = (0..self.members.len()).filter(is_idle).collect();
-        if idle.is_empty() || open.is_empty() {
-            return;
+        let tried = self.failed_views();
+        let views: Vec<Vec<Option<Viewpoint>>> =
+            idle.iter().map(|&index| self.approach(ground, index, &tried).views(&left)).collect();
+        let mut given = self.cheapest(ground, &open, &idle, &views);
+        let is_shut_in = |(_, views): &(&usize, &Vec<Option<Viewpoint>>)| {
+            !left.is_empty() && views.iter().all(Option::is_none)
+        };
+        let shut_in: Vec<usize> =
+            idle.iter().zip(&views).filter(is_shut_in).map(|(&index, _)| index).collect();
+        if given.is_empty() {
+            given.extend(self.second_look(ground, &left, &idle, &shut_in, now));
         }
-        let tried_m = self.settings.exploration.tried_m;
-        let tried: Vec<Disc> = self.tried.iter().map(|tried| tried.views(tried_m)).collect();
-        let mut given = self.cheapest(ground, &open, &idle, &tried);
-        if given.is_empty() && taken.is_empty() {
-            given.extend(self.look_again(ground, &open, &idle, &tried));
+        for (index, member) in self.members.iter_mut().enumerate() {
+            let since = member.shut_in_since.unwrap_or(now);
+            member.shut_in_since = shut_in.contains(&index).then_some(since);
         }
         for (index, target) in given {
             let member = &mut self.members[index];
@@ -141,17 +154,27 @@ impl Coordinator {
         refuge.is_some()
     }
 
-    /// The frontiers that are no robot's target and have not been given up.
-    fn open_frontiers(&self, taken: &[Target]) -> Vec<&Frontier> {
+    /// The frontiers that have not been given up: those that are no robot's target, and the others.
+    fn frontiers_left(&self) -> (Vec<&Frontier>, Vec<&Frontier>) {
         let rules = &self.settings.exploration;
         let is_seen_in_vain = |it: &Frontier| {
             let looks = self.tried.iter().filter(|tried| tried.is_of(it.place, rules.tried_m));
             looks.count() >= rules.most_looks
         };
-        let is_open = |it: &&Frontier| {
-            taken.iter().all(|taken| self.is_apart(it, taken)) && !is_seen_in_vain(it)
-        };
-        self.frontiers.iter().filter(is_open).collect()
+        let is_open = |it: &&Frontier| self.explored().all(|target| self.is_apart(it, &target));
+        self.frontiers.iter().filter(|it| !is_seen_in_vain(it)).partition(is_open)
+    }
+
+    /// The targets of the robots that are sent to frontiers.
+    pub(super) fn explored(&self) -> impl Iterator<Item = Target> {
+        let targets = self.members.iter().filter_map(|member| member.target);
+        targets.filter(|target| !target.is_shut_in)
+    }
+
+    /// Areas around the viewpoints from which frontiers were not seen.
+    pub(super) fn failed_views(&self) -> Vec<Disc> {
+        let tried_m = self.settings.exploration.tried_m;
+        self.tried.iter().map(|tried| tried.views(tried_m)).collect()
     }
 
     /// Whether a frontier is not that of the target.
@@ -159,17 +182,18 @@ impl Coordinator {
         (frontier.place - target.frontier).norm() > self.settings.exploration.same_m
     }
 
-    /// The minimum-cost assignment of idle robots to frontiers.
+    /// The minimum-cost assignment of idle robots to open frontiers, which come first in each robot's `views`.
     fn cheapest(
         &self,
         ground: &Ground,
         open: &[&Frontier],
         idle: &[usize],
-        tried: &[Disc],
+        views: &[Vec<Option<Viewpoint>>],
     ) -> Vec<(usize, Target)> {
+        if idle.is_empty() || open.is_empty() {
+            return Vec::new();
+        }
         let crowding = self.crowding(ground, open);
-        let views: Vec<Vec<Option<Viewpoint>>> =
-            idle.iter().map(|&index| self.approach(ground, index, tried).views(open)).collect();
         let cost = |((view, frontier), crowded_m): ((&Option<Viewpoint>, &&Frontier), &f64)| {
             let worth_m = self.settings.exploration.worth_m * frontier.gain_m2;
             // Costs in millimetres.
@@ -180,7 +204,7 @@ impl Coordinator {
             .map(|row| row.iter().zip(open).zip(&crowding).map(cost).collect())
             .collect();
         let mut given: Vec<(usize, Target)> = Vec::new();
-        for ((column, row), &index) in assign(&costs).into_iter().zip(&views).zip(idle) {
+        for ((column, row), &index) in assign(&costs).into_iter().zip(views).zip(idle) {
             let Some((frontier, view)) = column.and_then(|it| Some((open[it], row[it]?))) else {
                 continue;
             };
@@ -193,33 +217,12 @@ impl Coordinator {
         given
     }
 
-    /// If no frontier can be seen, picks the nearest reachable place to check again what blocks the
-    /// way, such as a person who may have left. Returns the robot and its target.
-    fn look_again(
-        &self,
-        ground: &Ground,
-        open: &[&Frontier],
-        idle: &[usize],
-        tried: &[Disc],
-    ) -> Option<(usize, Target)> {
-        let looks = idle.iter().flat_map(|&index| {
-            let views = self.approach(ground, index, tried).before(open);
-            open.iter().zip(views).filter_map(move |(frontier, view)| {
-                let view = view?;
-                let away_m = (view.place - frontier.place).norm();
-                Some((view.cost_m + away_m, index, Target::new(frontier.place, view.place)))
-            })
-        });
-        let (_, index, target) = looks.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some((index, target))
-    }
-
     /// For each frontier, the extra cost in metres because other robots look at places near it.
     fn crowding(&self, ground: &Ground, open: &[&Frontier]) -> Vec<f64> {
         let rules = &self.settings.exploration;
         let mut crowding = vec![0.0_f64; open.len()];
         for (index, member) in self.members.iter().enumerate() {
-            let Some(target) = member.target else { continue };
+            let Some(target) = member.target.filter(|target| !target.is_shut_in) else { continue };
             let terrain = self.terrain(ground, index);
             let Some(ways) = terrain.everywhere(target.view) else { continue };
             for (frontier, crowded_m) in open.iter().zip(&mut crowding) {
@@ -268,9 +271,9 @@ impl Coordinator {
     pub(super) fn put_off_target(&mut self, index: usize, until: Instant) {
         let member = &mut self.members[index];
         (member.refuge, member.idle_since) = (None, None);
-        if let Some(target) = member.target.take() {
-            self.tried.push(Tried::new(&target, until));
-        }
+        let Some(target) = member.target.take() else { return };
+        let tried = if target.is_shut_in { &mut member.no_way_out } else { &mut self.tried };
+        tried.push(Tried::new(&target, until));
     }
 
     /// Gives up a frontier if other robots have blocked the way for too long.

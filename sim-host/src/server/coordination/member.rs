@@ -9,7 +9,7 @@ use super::{
     ground::Point,
     settings::{EscalationRules, FollowingRules},
     situation::Whereabouts,
-    target::Target,
+    target::{Target, Tried},
 };
 
 /// One robot.
@@ -33,6 +33,10 @@ pub(super) struct Member {
     pub(super) recall: Option<Instant>,
     /// Since when it has had nothing to do.
     pub(super) idle_since: Option<Instant>,
+    /// Since when it has had nothing to do, and has seen none of the frontiers that are left from where it gets.
+    pub(super) shut_in_since: Option<Instant>,
+    /// Where it looked in vain for a way out.
+    pub(super) no_way_out: Vec<Tried>,
     /// When the robot was told to stop in order to get another route; `None` if it was not.
     pub(super) halted: Option<Instant>,
     /// Where the robot was last blocked.
@@ -79,6 +83,8 @@ impl Member {
             driven_m: 0.0,
             recall: Some(Instant(0)),
             idle_since: None,
+            shut_in_since: None,
+            no_way_out: Vec::new(),
             halted: None,
             trouble: None,
             held_up: None,

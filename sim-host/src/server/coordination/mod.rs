@@ -16,6 +16,7 @@
 //! | `coordinator` | all of these | commands, in ticks: |
 //! | `following` | | checks that robots follow their paths |
 //! | `exploration` | | distributes frontiers |
+//! | `second_look` | | sends robots to what blocks the way to frontiers, which may have gone |
 //! | `errand` | | says what a robot is doing |
 //! | `routing` | | finds and grants routes |
 
@@ -33,6 +34,7 @@ mod member;
 mod reservation;
 mod route;
 mod routing;
+mod second_look;
 pub mod settings;
 mod situation;
 mod target;

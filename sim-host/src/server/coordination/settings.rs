@@ -388,6 +388,9 @@ pub struct ExplorationRules {
     pub most_looks: usize,
     /// Time for which other robots may block the way before a robot gives up a frontier.
     pub patience: Duration,
+    /// Time after which a robot that gets to no frontier looks for a way out of where it is shut in: other robots may
+    /// have stood in its way. It gives up after `most_looks` within `tried_for`.
+    pub shut_in_for: Duration,
     /// Time for which a frontier that was given up for lack of a way is not tried again.
     pub put_off: Duration,
     /// Distance in metres that an exploring robot may drive out of the cameras' view before it is called back there,
@@ -413,6 +416,7 @@ impl Default for ExplorationRules {
             tried_for: Duration::from_secs(300),
             most_looks: 3,
             patience: Duration::from_secs(2),
+            shut_in_for: Duration::from_secs(20),
             put_off: Duration::from_secs(20),
             blind_m: 40.0,
             within_m: 0.3,

@@ -1,14 +1,16 @@
-//! Targets: frontiers that robots are sent to look at, and those that they failed to see.
+//! Targets: places that robots are sent to look at, and those where they saw nothing.
 
 use ubimap_protocol::time::{Duration, Instant};
 
 use super::ground::{Disc, Point};
 
-/// A frontier that a robot is sent to look at.
+/// A frontier that a robot is sent to look at, or, if it is shut in, what blocks its way to one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Target {
     /// Position of the frontier.
     pub(super) frontier: Point,
+    /// Whether the robot is shut in, and looks for a way out. The frontier is then left to the other robots.
+    pub(super) is_shut_in: bool,
     /// The viewpoint.
     pub(super) view: Point,
     /// When the robot arrived there.
@@ -20,7 +22,12 @@ pub(super) struct Target {
 impl Target {
     /// A frontier with its viewpoint.
     pub(super) fn new(frontier: Point, view: Point) -> Self {
-        Self { frontier, view, reached: None, looked: None }
+        Self { frontier, is_shut_in: false, view, reached: None, looked: None }
+    }
+
+    /// The same for a robot that is shut in.
+    pub(super) fn from_inside(self) -> Self {
+        Self { is_shut_in: true, ..self }
     }
 
     /// Whether the robot looked at the frontier at least `arrives` ago, so that its tiles have

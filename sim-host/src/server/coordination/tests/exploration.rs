@@ -281,6 +281,66 @@ fn a_stale_obstacle_in_the_only_way_is_checked_again() {
     report(&floor, known, seconds);
 }
 
+/// Robot 0 in a chamber whose door seems shut, and robot 1 with much left to explore. Returns the floor and the cells
+/// that shut the door.
+fn shut_in() -> (Floor, Vec<(i32, i32)>) {
+    let mut plan = Plan::room(40.0, 4.0);
+    plan.wall(4.0, 0.0, 4.1, 1.5);
+    plan.wall(4.0, 2.5, 4.1, 4.0);
+    let starts = [Point::new(1.0, 2.0), Point::new(6.0, 2.0)];
+    let mut floor = Floor::new(plan, &starts, 1, |place| place.x > 8.0);
+    let ghost: Vec<_> = (30..50).map(|y| (80, y)).collect();
+    set(&mut floor.fused, ghost.iter().map(|it| (*it, Cell::Occupied)));
+    (0..2).for_each(|index| assert!(floor.coordinator.set_exploring(id(index), true)));
+    (floor, ghost)
+}
+
+/// Somebody walked through the door behind a robot, was drawn there, and has left.
+#[test]
+fn a_robot_that_is_shut_in_looks_at_what_shuts_it_in_while_others_explore() {
+    let (mut floor, ghost) = shut_in();
+    let is_looking =
+        |floor: &Floor| matches!(floor.coordinator.errand(id(0)), Some(Errand::LooksForWay(_)));
+    assert!(floor.run(60, |floor| {
+        floor.look_around();
+        is_looking(floor)
+    }));
+    let waited = floor.now.micros();
+    assert!((20_000_000..22_000_000).contains(&waited), "it is patient with others: {waited}");
+    assert_eq!(floor.coordinator.target(id(0)), None, "the frontier is for the other one");
+    assert!(floor.coordinator.target(id(1)).is_some());
+    assert!(floor.run(30, |floor| {
+        floor.look_around();
+        !is_looking(floor)
+    }));
+    let place = floor.bodies[0].place;
+    assert!(place.x > 3.0, "it has looked from where the door is: {place}");
+    set(&mut floor.fused, ghost.into_iter().map(|it| (it, Cell::Free)));
+    assert!(floor.run(60, |floor| {
+        floor.look_around();
+        floor.bodies[0].place.x > 5.0
+    }));
+    assert!(!floor.is_blocked());
+}
+
+#[test]
+fn a_robot_that_finds_no_way_out_keeps_still_and_leaves_the_frontiers_to_others() {
+    let (mut floor, _) = shut_in();
+    let (mut looks, mut looked) = (0, false);
+    floor.run(200, |floor| {
+        floor.look_around();
+        let looks_now = matches!(floor.coordinator.errand(id(0)), Some(Errand::LooksForWay(_)));
+        looks += u32::from(looks_now && !looked);
+        looked = looks_now;
+        false
+    });
+    assert_eq!(looks, 3);
+    assert_eq!(floor.coordinator.errand(id(0)), Some(Errand::Waits));
+    let (known, all) = known(&floor);
+    assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all} cells");
+    assert!(!floor.is_blocked());
+}
+
 /// A person stops in the only door, is drawn there, and leaves: the robot does not set out for the far
 /// end meanwhile.
 #[test]

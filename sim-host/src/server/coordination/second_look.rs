@@ -1,0 +1,56 @@
+//! Sends robots to look again at what blocks the way to frontiers, such as a person who may have left.
+
+use ubimap_protocol::time::Instant;
+
+use super::{coordinator::Coordinator, frontiers::Frontier, ground::Ground, target::Target};
+
+impl Coordinator {
+    /// The robot to look again, and its target: one of the idle ones at once if no robot has anything to look at, and
+    /// otherwise one of those that have been shut in for long. `left` are the frontiers that are not given up.
+    pub(super) fn second_look(
+        &self,
+        ground: &Ground,
+        left: &[&Frontier],
+        idle: &[usize],
+        shut_in: &[usize],
+        now: Instant,
+    ) -> Option<(usize, Target)> {
+        if self.members.iter().all(|member| member.target.is_none()) {
+            return self.nearest_look(ground, left, idle);
+        }
+        let looks_for_way = |index: &usize| self.looks_for_way(*index, now);
+        let shut_in: Vec<usize> = shut_in.iter().copied().filter(looks_for_way).collect();
+        let (index, target) = self.nearest_look(ground, left, &shut_in)?;
+        Some((index, target.from_inside()))
+    }
+
+    /// Whether a robot that is shut in has been so for long, and has not looked often in vain.
+    fn looks_for_way(&self, index: usize, now: Instant) -> bool {
+        let (rules, member) = (&self.settings.exploration, &self.members[index]);
+        let is_long_so = member.shut_in_since.is_some_and(|it| now.since(it) >= rules.shut_in_for);
+        is_long_so && member.no_way_out.len() < rules.most_looks
+    }
+
+    /// Of the places that one of these robots gets to, the one from which it is the shortest way to a frontier, as the
+    /// crow flies from there.
+    fn nearest_look(
+        &self,
+        ground: &Ground,
+        left: &[&Frontier],
+        robots: &[usize],
+    ) -> Option<(usize, Target)> {
+        let tried_m = self.settings.exploration.tried_m;
+        let looks = robots.iter().flat_map(|&index| {
+            let own = self.members[index].no_way_out.iter().map(|tried| tried.views(tried_m));
+            let tried: Vec<_> = self.failed_views().into_iter().chain(own).collect();
+            let views = self.approach(ground, index, &tried).before(left);
+            left.iter().zip(views).filter_map(move |(frontier, view)| {
+                let view = view?;
+                let away_m = (view.place - frontier.place).norm();
+                Some((view.cost_m + away_m, index, Target::new(frontier.place, view.place)))
+            })
+        });
+        let (_, index, target) = looks.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some((index, target))
+    }
+}
