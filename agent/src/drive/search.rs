@@ -148,8 +148,7 @@ impl<'b> Search<'b> {
     /// Restarts the search at `pose`.
     pub(super) fn begin(&mut self, sought: Sought, pose: Pose, resolution: Millimetres) {
         let side = resolution.0.max(1).saturating_mul(SIDE as i32 / 2 - 3).unsigned_abs();
-        let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
-        let far = sought.point().map_or(0, |goal| far(goal.x, pose.x).max(far(goal.y, pose.y)));
+        let far = sought.point().map_or(0, |goal| distance(&goal, pose));
         let holds = |&level: &u32| far <= side.saturating_mul(1 << level);
         let finest = (0..MAX_LEVEL).find(holds).unwrap_or(MAX_LEVEL);
         self.sought = sought;
@@ -165,6 +164,7 @@ impl<'b> Search<'b> {
         pairs: usize,
     ) -> Outcome {
         let progress = match self.stage {
+            Stage::Fill if self.is_there_already(view) => Progress::Failed(PlanError::Unreachable),
             Stage::Fill => {
                 let level = if self.attempt.via.is_some() { 0 } else { self.attempt.level };
                 self.fill(level, view, ground);
@@ -200,6 +200,12 @@ impl<'b> Search<'b> {
             Progress::Found(place) => self.found(place, view.pose),
             Progress::Failed(error) => self.try_otherwise(error, view),
         }
+    }
+
+    /// Whether a coarse window saw the goal, or a way to it, where the robot stands already.
+    fn is_there_already(&self, view: &WindowInputs<'_>) -> bool {
+        let reach = u32::from(view.radius);
+        matches!(&self.attempt.via, Some((via, End::OnTheWay)) if distance(via, view.pose) <= reach)
     }
 
     /// Fills the window from the map, at this level.
@@ -261,6 +267,8 @@ impl<'b> Search<'b> {
         Target::Place(near.unwrap_or(place))
     }
 
+    // Not inlined: smaller.
+    #[inline(never)]
     fn found(&mut self, place: Place, pose: Pose) -> Outcome {
         let path = self.workspace.planner.path();
         let mut route = Route::new();
@@ -340,10 +348,7 @@ impl<'b> Search<'b> {
 /// The last point of a route that is within `reach` of a pose along both axes, and whether it is
 /// the route's end.
 fn within(route: &Route, pose: Pose, reach: i32) -> (Waypoint, bool) {
-    let is_near = |point: &Waypoint| {
-        let far = |a: Millimetres, b: Millimetres| a.0.abs_diff(b.0);
-        far(point.x, pose.x).max(far(point.y, pose.y)) <= reach.unsigned_abs()
-    };
+    let is_near = |point: &Waypoint| distance(point, pose) <= reach.unsigned_abs();
     let mut last = Waypoint { x: pose.x, y: pose.y };
     for point in route {
         if is_near(point) {
@@ -353,13 +358,16 @@ fn within(route: &Route, pose: Pose, reach: i32) -> (Waypoint, bool) {
         // Bisects the leg to find its last point within reach, to 1/256 of its length.
         let (mut inside, mut outside) = (last, *point);
         for _ in 0..8 {
-            let half = |a: Millimetres, b: Millimetres| {
-                Millimetres(((i64::from(a.0) + i64::from(b.0)) / 2) as i32)
-            };
+            let half = |a: Millimetres, b: Millimetres| Millimetres((a.0 >> 1) + (b.0 >> 1));
             let middle = Waypoint { x: half(inside.x, outside.x), y: half(inside.y, outside.y) };
             if is_near(&middle) { inside = middle } else { outside = middle }
         }
         return (inside, false);
     }
     (last, true)
+}
+
+/// The distance of a point from a pose along the axis on which it is farther, in millimetres.
+fn distance(point: &Waypoint, pose: Pose) -> u32 {
+    point.x.0.abs_diff(pose.x.0).max(point.y.0.abs_diff(pose.y.0))
 }

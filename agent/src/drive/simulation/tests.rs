@@ -113,6 +113,46 @@ fn it_reaches_goals_beyond_the_window_and_reports_unreachable_ones() {
     it.until(Reason::Arrived, 30.0);
 }
 
+/// Walls drawn where nothing stands: column and row, length in cells, and whether it runs north.
+type Ghosts = [(i32, i32, i32, bool)];
+
+/// Sends a robot to a place in the door's rooms with such walls. Returns whether it stands in the end, and
+/// calls that driving.
+fn searches_for_ever(ghosts: &Ghosts, (x, y): (f64, f64)) -> bool {
+    let mut it = Simulation::new(DOOR, 0.8, 1.2).with_map();
+    for &(column, row, long, runs_north) in ghosts {
+        for step in 0..long {
+            let (east, north) = if runs_north { (0, step) } else { (step, 0) };
+            it.draw(column + east, row + north, true);
+        }
+    }
+    it.go(x, y);
+    it.run(30.0);
+    let before = it.at;
+    it.run(5.0);
+    it.driver.reason() == Reason::Driving && it.at == before
+}
+
+/// Where the goal and the robot are in walls of a coarse window, the free cell nearest to both is the robot's own.
+#[test]
+fn a_goal_that_a_coarse_window_sees_at_the_robot_itself_is_not_there() {
+    let ghosts = [(20, 32, 4, true), (28, 20, 9, false), (28, 10, 19, true)];
+    assert!(!searches_for_ever(&ghosts, (1.635, 0.5)));
+    assert!(!searches_for_ever(&ghosts, (1.635, 1.272)));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    #[test]
+    fn it_does_not_search_for_ever(
+        ghosts in prop::collection::vec((0..60, 0..48, 1..20, any::<bool>()), 1..12),
+        goal in (0.5..3.5, 0.5..2.0),
+    ) {
+        prop_assert!(!searches_for_ever(&ghosts, goal));
+    }
+}
+
 #[test]
 fn it_stops_before_a_door_that_closes_across_its_path() {
     let closed = DOOR.replace("#..................#", "#.........#........#");
