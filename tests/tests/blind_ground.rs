@@ -139,7 +139,7 @@ const SCOUT: &str = r#"
         [15.7, 2.6], [15.7, 3.4], [15.7, 2.6], [11.0, 2.9], [8.0, 3.4], [5.5, 3.2],
     ]
     route.speed_m_s = 0.9
-    odometry = { slip = 0.0, turn_slip = 0.0, noise_m = 0.0, heading_noise_deg = 0.0 }
+    odometry = { slip = 0.0, turn_slip = 0.0, drift_deg_per_m = 0.0, noise_m = 0.0, heading_noise_deg = 0.0 }
 "#;
 
 /// The interval of [`RoomStage::tracks`].

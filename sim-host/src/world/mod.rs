@@ -3,7 +3,7 @@
 //! Read in this order: `scenario` (the TOML file) and `growth` (generated from a map), `shapes` and `room`
 //! (static geometry and ray casting), `changes` (scheduled changes), `truth` (the perfect map),
 //! `plane_pose`, `route`, `people` and `robots` (motion; `marker` and `tag`: markers on robots), `places`
-//! (checks of starts and routes), `stereo` and `sensor` (range sensors), `glare` (badly exposed pixels), `grey_eye` (grey cameras of robots), `mounting`, `displacement`, `render`
+//! (checks of starts and routes), `odometer` (what wheels report), `stereo` and `sensor` (range sensors), `glare` (badly exposed pixels), `grey_eye` (grey cameras of robots), `mounting`, `displacement`, `render`
 //! and `filming` (camera frames), `passed` (ground that robots have seen), `reachable` (ground where robots
 //! can stand), `ideal_camera` and `ideal_cameras` (observations without frames). [`World`] combines them.
 //!
@@ -22,6 +22,7 @@ mod ideal_camera;
 mod ideal_cameras;
 mod marker;
 mod mounting;
+mod odometer;
 mod passed;
 mod people;
 mod places;
@@ -77,6 +78,7 @@ use filming::Filming;
 use glare::Glare;
 use grey_eye::GreyEye;
 use ideal_cameras::IdealCameras;
+use odometer::Odometer;
 use passed::Passed;
 use render::{Part, Scene};
 use robots::Contact;
@@ -175,7 +177,9 @@ impl World {
         let people = people
             .map(|(index, config)| Person::new(config, index, Stream::Person.rng(seed, index)));
         let robots = scenario.robots.iter().enumerate().map(|(index, config)| {
-            SimRobot::new(config, index, Stream::Odometry.rng(seed, config.id.into()))
+            let [noise, wheels] =
+                [Stream::Odometry, Stream::Wheels].map(|it| it.rng(seed, config.id.into()));
+            SimRobot::new(config, index, Odometer::new(&config.odometry, noise, wheels))
         });
         let robots: Vec<SimRobot> = robots.collect();
         let eyes = robots.iter().map(|robot| {

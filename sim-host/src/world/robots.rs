@@ -1,20 +1,17 @@
 //! Robots that drive along their routes (turn in place, drive straight, wait for anyone ahead), or
 //! by commanded speeds.
 
-use std::f64::consts::{PI, TAU};
-
 use libm::{atan2, cos, sin};
 use parry2d_f64::glamx::DVec2;
-use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use ubimap_protocol::units::{Pose, RobotId};
 
 use super::{
     marker::{Colour, MarkerPlate},
-    plane_pose::PlanePose,
+    odometer::Odometer,
+    plane_pose::{PlanePose, wrap},
     render::{Paint, Part},
     route::{Body, Route},
-    scenario::{OdometryConfig, RobotConfig},
+    scenario::RobotConfig,
     sensor::RangeSensor,
     shapes::{Footprint, Prism},
 };
@@ -69,9 +66,7 @@ pub struct SimRobot {
     askew: f64,
     sensor: RangeSensor,
     truth: PlanePose,
-    odometry: PlanePose,
-    error: OdometryConfig,
-    dice: ChaCha8Rng,
+    odometer: Odometer,
     route: Route,
     top_speed: f64,
     acceleration: f64,
@@ -86,8 +81,6 @@ pub struct SimRobot {
     contact: Option<(Contact, DVec2)>,
     /// Whether something touches the front.
     is_touching: bool,
-    /// The way in metres and the angle in radians that the wheels have measured since the start.
-    rolled: [f64; 2],
 }
 
 impl SimRobot {
@@ -103,13 +96,13 @@ impl SimRobot {
 
     /// Odometry: `base_link` in `odom`, whose origin is the start.
     pub fn odometry(&self) -> Pose {
-        self.odometry.quantised()
+        self.odometer.pose().quantised()
     }
 
     /// The way in metres and the angle in radians that the wheels have measured since the start, with
     /// their errors.
     pub fn rolled(&self) -> [f64; 2] {
-        self.rolled
+        self.odometer.rolled()
     }
 
     /// Whether it touches something ahead.
@@ -142,7 +135,7 @@ impl SimRobot {
         self.height
     }
 
-    pub(super) fn new(config: &RobotConfig, index: usize, dice: ChaCha8Rng) -> Self {
+    pub(super) fn new(config: &RobotConfig, index: usize, odometer: Odometer) -> Self {
         let start = DVec2::new(config.start.x_m, config.start.y_m);
         Self {
             id: RobotId(config.id),
@@ -153,9 +146,7 @@ impl SimRobot {
             askew: config.identifier_askew_deg.to_radians(),
             sensor: RangeSensor::new(&config.sensor),
             truth: PlanePose { position: start, heading: config.start.heading_deg.to_radians() },
-            odometry: PlanePose { position: DVec2::ZERO, heading: 0.0 },
-            error: config.odometry.clone(),
-            dice,
+            odometer,
             route: Route::new(start, config.route.waypoints_m.iter().map(|&p| DVec2::from(p))),
             top_speed: config.route.speed_m_s,
             acceleration: config.route.acceleration_m_s2,
@@ -167,7 +158,6 @@ impl SimRobot {
             turning: 0.0,
             contact: None,
             is_touching: false,
-            rolled: [0.0; 2],
         }
     }
 
@@ -247,7 +237,7 @@ impl SimRobot {
         self.is_touching = touched.is_some() && !backs
             || self.is_touching && contact(self.body(), self.truth.position + ahead).is_some();
         self.truth.heading = wrap(self.truth.heading + angle);
-        self.measure(way, angle);
+        self.odometer.measure(way, angle);
         touched
     }
 
@@ -283,7 +273,7 @@ impl SimRobot {
         }
         self.waited = 0.0;
         self.truth.position = next;
-        self.measure(step, 0.0);
+        self.odometer.measure(step, 0.0);
         if left - step < 1e-9 {
             self.truth.position = target;
             self.speed = 0.0;
@@ -312,30 +302,6 @@ impl SimRobot {
         let angle = (rate * seconds).min(left.abs()).copysign(left);
         self.turning = if angle == left { 0.0 } else { rate };
         self.truth.heading = wrap(self.truth.heading + angle);
-        self.measure(0.0, angle);
-    }
-
-    /// Updates the odometry for a distance and an angle driven.
-    fn measure(&mut self, way: f64, angle: f64) {
-        let mut noise = || -> f64 { StandardNormal.sample(&mut self.dice) };
-        let error = &self.error;
-        let measured_way = way * (1.0 + error.slip) + error.noise_m * way.abs().sqrt() * noise();
-        let measured_angle = angle * (1.0 + error.turn_slip)
-            + error.drift_deg_per_m.to_radians() * way
-            + error.heading_noise_deg.to_radians() * (way.abs() + angle.abs()).sqrt() * noise();
-        self.rolled = [self.rolled[0] + measured_way, self.rolled[1] + measured_angle];
-        self.odometry.heading = wrap(self.odometry.heading + measured_angle);
-        let heading = self.odometry.heading;
-        self.odometry.position += DVec2::new(cos(heading), sin(heading)) * measured_way;
-    }
-}
-
-/// Wraps an angle to -pi..pi.
-fn wrap(angle: f64) -> f64 {
-    let wrapped = libm::fmod(angle, TAU);
-    match wrapped {
-        _ if wrapped > PI => wrapped - TAU,
-        _ if wrapped < -PI => wrapped + TAU,
-        _ => wrapped,
+        self.odometer.measure(0.0, angle);
     }
 }

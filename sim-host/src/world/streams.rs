@@ -13,6 +13,7 @@ pub(super) enum Stream {
     Scan = 4,
     Frame = 5,
     Eye = 6,
+    Wheels = 7,
 }
 
 impl Stream {

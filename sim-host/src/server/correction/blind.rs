@@ -16,7 +16,7 @@ use ubimap_protocol::{
 use super::{
     booted::Booted,
     drift::Drift,
-    odometry::{OdometryScales, Reported, ScaleError, Variances},
+    odometry::{RateError, Reported, SystematicErrors, Variances},
 };
 use crate::{
     mapping::{
@@ -130,15 +130,15 @@ impl BlindTrip {
     }
 
     /// Finds the pose from which the robot saw the points of a distance vector, and adds them to
-    /// the trail. `None` if the robot has booted, and they do not tell where. `scales` are the robot's; they are learnt on
-    /// the way.
+    /// the trail. `None` if the robot has booted, and they do not tell where. `systematic` are the
+    /// errors of the robot's odometry; they are learnt on the way.
     pub(super) fn locate(
         &mut self,
         robot: RobotId,
         vector: &DistanceVector,
         points: &[[f64; 2]],
         (map, resolution): (&SharedMap, Millimetres),
-        scales: &mut OdometryScales,
+        systematic: &mut SystematicErrors,
         mut trajectories: Option<&mut Trajectories>,
     ) -> Option<Match> {
         let settled = ((vector.time.micros() / 1_000_000) as u32).saturating_sub(OWN_AGE);
@@ -171,7 +171,7 @@ impl BlindTrip {
         };
         self.settle(trajectories.as_ref().and_then(|it| it.newest(robot)));
         let followed_from = self.at;
-        let followed = self.follow(&rolled, points, near, scales);
+        let followed = self.follow(&rolled, points, near, systematic);
         let by = followed_from.inv_mul(&self.at);
         self.trail.add(submaps::pose(&self.at), points, resolution);
         let strayed = Variances::of_motion(&rolled);
@@ -235,11 +235,12 @@ impl BlindTrip {
         rolled: &Motion,
         points: &[[f64; 2]],
         near: impl Fn(&Trail, Pose) -> Surfaces,
-        scales: &mut OdometryScales,
+        systematic: &mut SystematicErrors,
     ) -> Option<Match> {
-        let predicted = submaps::pose(&(self.at * scales.corrected(rolled)));
+        let predicted = submaps::pose(&(self.at * systematic.corrected(rolled)));
         let bent = Variances::of(0.0, BENT * rolled.translation.vector.norm());
-        let strayed = Variances::of_motion(rolled).plus(VIEWED).plus(bent);
+        let by_chance = Variances::of_motion(rolled).plus(VIEWED);
+        let strayed = by_chance.plus(bent);
         let (place, turn) = strayed.deviations();
         let search = Search {
             position: Millimetres(3 * place.0) + BESIDE.0,
@@ -251,7 +252,7 @@ impl BlindTrip {
         let followed = followed.filter(|it| strayed.allow(predicted, it.pose));
         let pose = followed.map_or(predicted, |it| it.pose);
         if let Some(found) = &followed {
-            learn_way(&mut scales.ways, rolled, predicted, found);
+            learn_way(&mut systematic.ways, rolled, predicted, found);
         }
         let from = core::mem::replace(&mut self.at, motion(pose));
         let way = self.at.translation.vector - from.translation.vector;
@@ -259,7 +260,7 @@ impl BlindTrip {
         match followed.map(|it| it.deviations()) {
             Some([.., seen]) if seen < SURE => {
                 let off = (predicted.heading - pose.heading).radians();
-                scales.turns.learn(rolled.rotation.angle(), off, strayed.turn + seen * seen);
+                systematic.learn_turn(rolled, off, by_chance.turn + seen * seen);
                 self.drift.go(way, None);
             }
             _ => self.drift.go(way, Some(strayed)),
@@ -285,7 +286,7 @@ impl BlindTrip {
 }
 
 /// Learns from a way straight ahead towards surfaces that tell how long it was.
-fn learn_way(scale: &mut ScaleError, rolled: &Motion, predicted: Pose, found: &Match) {
+fn learn_way(scale: &mut RateError, rolled: &Motion, predicted: Pose, found: &Match) {
     let ahead = motion(predicted).rotation * Vector2::x();
     let place = found.covariance.fixed_view::<2, 2>(0, 0);
     let is_told = ahead.dot(&(place * ahead)) <= TOLD_MM * TOLD_MM;
@@ -346,19 +347,24 @@ mod tests {
     fn the_scale_of_ways_is_learnt_from_straight_ones_that_the_surfaces_tell() {
         // The odometry reports 40 cm for every 39.6 cm driven. `along` and `across` are the deviations of the match in mm.
         let scale = |degrees: f64, turn: f64, along: f64, across: f64| {
-            let mut scales = OdometryScales::default();
+            let mut systematic = SystematicErrors::default();
             let (from, by) = (motion(Pose::from_metres(1.0, 2.0, degrees.to_radians())), 0.4);
             let turned = submaps::turned(from.rotation.angle());
             let known = nalgebra::Vector3::new(along * along, across * across, 1e-4);
             let covariance = turned * nalgebra::Matrix3::from_diagonal(&known) * turned.transpose();
             for _ in 0..200 {
                 let rolled = Motion::new(Vector2::new(by, 0.0), turn);
-                let predicted = submaps::pose(&(from * scales.corrected(&rolled)));
+                let predicted = submaps::pose(&(from * systematic.corrected(&rolled)));
                 let found =
                     submaps::pose(&(from * Motion::new(Vector2::new(0.99 * by, 0.0), turn)));
-                learn_way(&mut scales.ways, &rolled, predicted, &Match { pose: found, covariance });
+                learn_way(
+                    &mut systematic.ways,
+                    &rolled,
+                    predicted,
+                    &Match { pose: found, covariance },
+                );
             }
-            1.0 - scales.corrected(&Motion::translation(1.0, 0.0)).translation.x
+            1.0 - systematic.corrected(&Motion::translation(1.0, 0.0)).translation.x
         };
         for degrees in [0.0, 90.0, 200.0] {
             let told = scale(degrees, 0.02, 15.0, 400.0);

@@ -1,5 +1,5 @@
 //! What a robot tells of its odometry: how it moved from one view to the next, and by how much it misjudges ways and
-//! turns.
+//! turns, and bends ways that are straight.
 
 use nalgebra::UnitComplex;
 use ubimap_agent::locate::OdometryNoise;
@@ -16,10 +16,11 @@ use crate::mapping::{
 
 /// Squared Mahalanobis distance within which a pose may be corrected: three deviations.
 const CORRECTABLE: f64 = 9.0;
-/// Deviation of a scale of a robot's odometry before anything is known.
+/// Deviation of a scale of a robot's odometry before anything is known, and of its heading's drift in rad/m.
 const SCALE: f64 = 0.01;
-/// By how much (deviation) such a scale may change while cameras see the robot, which then learns itself.
-const RELEARNT: f64 = 0.002;
+const BEND: f64 = 0.01;
+/// By what part of that (deviation) such an error may change while cameras see the robot, which then learns itself.
+const RELEARNT: f64 = 0.2;
 /// A robot is assumed not to drive farther between two vectors than this distance (m), and this (m/s) times the time that
 /// has passed.
 const JUMP: f64 = 0.3;
@@ -111,51 +112,71 @@ impl Reported {
     }
 }
 
-/// The scale errors of a robot's odometry: what its own calibration has left, or made. Robots learn theirs where cameras
-/// see them; the little that they drive there leaves a per cent, which is four degrees in each look around, and a quarter
-/// of a metre in a long corridor.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct OdometryScales {
-    /// Of distances.
-    pub(super) ways: ScaleError,
-    /// Of turns.
-    pub(super) turns: ScaleError,
+/// The systematic errors of a robot's odometry: what its own calibration has left, or made. Robots learn theirs where
+/// cameras see them; the little that they drive there leaves a per cent, which is four degrees in each look around, and a
+/// quarter of a metre in a long corridor.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SystematicErrors {
+    /// 0.01 if the robot reports one per cent too much of distances (in m).
+    pub(super) ways: RateError,
+    /// The same of turns (in rad).
+    pub(super) turns: RateError,
+    /// Radians per metre straight ahead by which it reports too much: wheels of unequal size.
+    pub(super) bends: RateError,
 }
 
-impl OdometryScales {
+impl Default for SystematicErrors {
+    fn default() -> Self {
+        let [ways, turns, bends] = [SCALE, SCALE, BEND].map(RateError::unknown);
+        Self { ways, turns, bends }
+    }
+}
+
+impl SystematicErrors {
     /// The true motion, for one that the robot's odometry says.
     pub(super) fn corrected(&self, rolled: &Motion) -> Motion {
         let turn = rolled.rotation.angle();
-        let off = -self.turns.value * turn;
+        let off = -self.turns.value * turn - self.bends.value * rolled.translation.x;
         // The heading goes wrong little by little on the way.
         let way = UnitComplex::new(0.5 * off) * rolled.translation.vector;
         Motion::new((1.0 - self.ways.value) * way, turn + off)
     }
 
+    /// Learns from a motion that the odometry said, and whose turn, as it was corrected, was too large by `off`; this is
+    /// known with this variance.
+    pub(super) fn learn_turn(&mut self, rolled: &Motion, off: f64, variance: f64) {
+        let (way, turn) = (rolled.translation.x, rolled.rotation.angle());
+        let [by_turn, by_bend] = [(&self.turns, turn), (&self.bends, way)]
+            .map(|(error, amount)| error.variance * amount * amount);
+        self.turns.learn(turn, off, variance + by_bend);
+        self.bends.learn(way, off, variance + by_turn);
+    }
+
     /// The robot was in view, and may have learnt a little more.
     pub(super) fn doubt(&mut self) {
-        self.ways.doubt();
-        self.turns.doubt();
+        for error in [&mut self.ways, &mut self.turns, &mut self.bends] {
+            error.doubt();
+        }
     }
 }
 
-/// A scale error that is being learnt.
+/// An error that grows with what it is an error of, and is being learnt.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct ScaleError {
-    /// 0.01 if the robot reports one per cent too much.
+pub(super) struct RateError {
     value: f64,
     variance: f64,
+    /// The variance before anything is known.
+    unknown: f64,
 }
 
-impl Default for ScaleError {
-    fn default() -> Self {
-        Self { value: 0.0, variance: SCALE * SCALE }
+impl RateError {
+    fn unknown(deviation: f64) -> Self {
+        let unknown = deviation * deviation;
+        Self { value: 0.0, variance: unknown, unknown }
     }
-}
 
-impl ScaleError {
-    /// Learns from a reported `amount`, which, as it was corrected, was too large by `off`; this is known with this
-    /// variance, in the same unit. Outliers, from a wrong match or a push, are ignored.
+    /// Learns from a reported `amount`, for which, as it was corrected, too much was reported by `off`; this is known with
+    /// this variance. Outliers, from a wrong match or a push, are ignored.
     pub(super) fn learn(&mut self, amount: f64, off: f64, variance: f64) {
         let sum = self.variance * amount * amount + variance;
         if off * off > 9.0 * sum {
@@ -167,7 +188,7 @@ impl ScaleError {
     }
 
     fn doubt(&mut self) {
-        self.variance = (self.variance + RELEARNT * RELEARNT).min(SCALE * SCALE);
+        self.variance = (self.variance + RELEARNT * RELEARNT * self.unknown).min(self.unknown);
     }
 }
 
@@ -218,32 +239,37 @@ mod tests {
     }
 
     #[test]
-    fn scales_are_learnt_from_noisy_motions_ahead_and_to_both_sides() {
+    fn systematic_errors_are_learnt_from_noisy_motions_ahead_and_to_both_sides() {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
-        let mut scales = OdometryScales::default();
+        let mut systematic = SystematicErrors::default();
         let (noise, noise_m) = (0.5f64.to_radians(), 0.008);
         for lesson in 0..200 {
             let (way, turn) = (rng.random_range(0.0..0.5), rng.random_range(-1.0..1.0));
             let mut said = |true_one: f64, scale: f64, noise: f64| {
                 scale * true_one + rng.random_range(-1.7..1.7) * noise
             };
-            let (said, turned) = (said(way, 0.99, noise_m), said(turn, 1.015, noise));
+            let (said, turned) = (said(way, 0.99, noise_m), said(turn, 1.015, noise) - 0.012 * way);
             let along = |way: f64| nalgebra::Vector2::new(way, 0.0);
-            let ahead = scales.corrected(&Motion::new(along(said), 0.0)).translation.vector.x;
-            let predicted = scales.corrected(&Motion::new(along(0.0), turned));
+            let ahead = systematic.corrected(&Motion::new(along(said), 0.0)).translation.vector.x;
+            let rolled = Motion::new(along(said), turned);
+            let predicted = systematic.corrected(&rolled);
             // Each tenth view is matched wrongly.
             let wrong = if lesson % 10 == 0 { 0.2 } else { 0.0 };
-            scales.ways.learn(said, ahead - way + wrong, noise_m * noise_m);
-            scales.turns.learn(turned, predicted.rotation.angle() - turn + wrong, noise * noise);
+            systematic.ways.learn(said, ahead - way + wrong, noise_m * noise_m);
+            systematic.learn_turn(
+                &rolled,
+                predicted.rotation.angle() - turn + wrong,
+                noise * noise,
+            );
         }
-        let OdometryScales { ways, turns } = scales;
-        assert!(
-            (ways.value + 0.01).abs() < 0.004 && (turns.value - 0.015).abs() < 0.003,
-            "{scales:?}"
-        );
-        scales.doubt();
-        for (sure, scale) in [(ways, scales.ways), (turns, scales.turns)] {
-            assert!(scale.variance > sure.variance && scale.variance <= SCALE * SCALE);
+        let SystematicErrors { ways, turns, bends } = systematic;
+        assert!((ways.value + 0.01).abs() < 0.004, "{systematic:?}");
+        assert!((turns.value - 0.015).abs() < 0.003, "{systematic:?}");
+        assert!((bends.value + 0.012).abs() < 0.003, "{systematic:?}");
+        systematic.doubt();
+        let doubted = [systematic.ways, systematic.turns, systematic.bends];
+        for (sure, doubted) in [ways, turns, bends].into_iter().zip(doubted) {
+            assert!(doubted.variance > sure.variance && doubted.variance <= doubted.unknown);
         }
     }
 }

@@ -12,7 +12,7 @@ use ubimap_protocol::{
 use super::{
     blind::{BlindTrip, reach},
     cure::{Cure, CureStep},
-    odometry::{OdometryScales, Reported},
+    odometry::{Reported, SystematicErrors},
 };
 use crate::{
     mapping::{
@@ -53,7 +53,7 @@ pub(super) struct RobotCorrection {
     fixes: VecDeque<(Instant, Pose)>,
     blind: Option<BlindTrip>,
     /// Outlasts the trips.
-    scales: OdometryScales,
+    systematic: SystematicErrors,
     next_look: Instant,
 }
 
@@ -81,7 +81,7 @@ impl RobotCorrection {
         }
         let pose = self.errors.fix(captured, seen);
         if self.blind.take().is_some() {
-            self.scales.doubt();
+            self.systematic.doubt();
         }
         self.fixes.push_back((captured, pose));
         self.fixes.retain(|&(moment, _)| captured.since(moment) <= FIX_HISTORY);
@@ -90,7 +90,7 @@ impl RobotCorrection {
 
     /// Begins a trip of the robot, which has booted, around the place where it was. It has forgotten its calibration.
     pub(super) fn seek(&mut self, about: &Place) {
-        self.scales = OdometryScales::default();
+        self.systematic = SystematicErrors::default();
         self.blind = Some(BlindTrip::about(about));
     }
 
@@ -136,7 +136,8 @@ impl RobotCorrection {
             return None;
         }
         let views = (map, resolution);
-        let found = blind.locate(robot, vector, &points, views, &mut self.scales, trajectories)?;
+        let found =
+            blind.locate(robot, vector, &points, views, &mut self.systematic, trajectories)?;
         Some(Finding::Fix(fix_of(&found, vector.time)))
     }
 

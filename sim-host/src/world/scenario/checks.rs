@@ -328,9 +328,11 @@ impl Scenario {
 
     fn check_odometry(&self, key: &str, odometry: &OdometryConfig) -> Result<(), ScenarioError> {
         let key_of = |name: &str| format!("{key}.{name}");
-        self.number(&key_of("slip"), odometry.slip, -0.9..=10.0)?;
-        self.number(&key_of("turn_slip"), odometry.turn_slip, -0.9..=10.0)?;
-        self.number(&key_of("drift_deg_per_m"), odometry.drift_deg_per_m, -360.0..=360.0)?;
+        let OdometryConfig { slip, turn_slip, drift_deg_per_m, .. } = odometry;
+        self.number(&key_of("slip"), slip.unwrap_or(0.0), -0.9..=10.0)?;
+        self.number(&key_of("turn_slip"), turn_slip.unwrap_or(0.0), -0.9..=10.0)?;
+        let drift = drift_deg_per_m.unwrap_or(0.0);
+        self.number(&key_of("drift_deg_per_m"), drift, -360.0..=360.0)?;
         self.number(&key_of("noise_m"), odometry.noise_m, 0.0..=10.0)?;
         self.number(&key_of("heading_noise_deg"), odometry.heading_noise_deg, 0.0..=180.0)
     }

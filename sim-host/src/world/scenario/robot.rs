@@ -338,16 +338,17 @@ impl Default for RouteConfig {
     }
 }
 
-/// The errors of the odometry.
+/// The errors of the odometry. Each robot has its own systematic ones: those that are not given are drawn from normal
+/// distributions by the seed and the robot's number.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OdometryConfig {
-    /// Relative error of measured distances (0.01: one per cent too long).
-    pub slip: f64,
-    /// Relative error of measured turns.
-    pub turn_slip: f64,
-    /// Heading error gained per metre.
-    pub drift_deg_per_m: f64,
+    /// Relative error of measured distances (0.01: one per cent too long). Default: a deviation of 0.01.
+    pub slip: Option<f64>,
+    /// Relative error of measured turns. Default: a deviation of 0.01.
+    pub turn_slip: Option<f64>,
+    /// Heading error gained per metre: wheels of unequal size. Default: a deviation of 0.5 degrees.
+    pub drift_deg_per_m: Option<f64>,
     /// Standard deviation of the distance after one metre; grows with the square root of the distance.
     pub noise_m: f64,
     /// Standard deviation of the heading after one metre or one radian; grows with the square root.
@@ -357,9 +358,9 @@ pub struct OdometryConfig {
 impl Default for OdometryConfig {
     fn default() -> Self {
         Self {
-            slip: 0.01,
-            turn_slip: 0.01,
-            drift_deg_per_m: 0.0,
+            slip: None,
+            turn_slip: None,
+            drift_deg_per_m: None,
             noise_m: 0.01,
             heading_noise_deg: 0.5,
         }

@@ -7,7 +7,7 @@ use ubimap_protocol::units::Pose;
 use super::{super::route::Body, built_in, seconds, small_room, world};
 use crate::{
     camera::{Observation, Source},
-    world::{PostureConfig, STEP, ScanEvent, Scenario, World},
+    world::{OdometryConfig, PostureConfig, STEP, ScanEvent, Scenario, World},
 };
 
 /// All scans and observations until a time, polled at an interval (seconds).
@@ -180,10 +180,15 @@ fn from_start(world: &World) -> (DVec2, f64) {
 #[test]
 fn odometry_without_errors_is_exact_and_slip_stretches_it() {
     let mut scenario = small_room(ROBOT);
-    let error = &mut scenario.robots[0].odometry;
-    (error.slip, error.turn_slip, error.noise_m, error.heading_noise_deg) = (0.0, 0.0, 0.0, 0.0);
+    scenario.robots[0].odometry = OdometryConfig {
+        slip: Some(0.0),
+        turn_slip: Some(0.0),
+        drift_deg_per_m: Some(0.0),
+        noise_m: 0.0,
+        heading_noise_deg: 0.0,
+    };
     let mut exact = world(&scenario, 1);
-    scenario.robots[0].odometry.slip = 0.02;
+    scenario.robots[0].odometry.slip = Some(0.02);
     let mut slipping = world(&scenario, 1);
     for step in 0..100 {
         exact.advance(seconds(f64::from(step) * 0.2));
