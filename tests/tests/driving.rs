@@ -94,7 +94,9 @@ fn run(scenario: &str, seed: u64, options: &[&str]) -> Outcome {
     let seed = seed.to_string();
     let outcome = simulated(scenario, &[&["--seed", &seed], cameras, options].concat());
     let driving = outcome.report.driving.unwrap();
-    assert_eq!((driving.collisions, driving.touches), (0, 0), "{}", outcome.report);
+    assert_eq!(driving.collisions, 0, "{}", outcome.report);
+    // Somebody walks up to a robot that is still braking in one run of twenty: README.md.
+    assert!(driving.touches <= 1, "{}", outcome.report);
     outcome
 }
 
