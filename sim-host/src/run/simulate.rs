@@ -57,7 +57,7 @@ use crate::{
 /// The side of the map's cells.
 pub const RESOLUTION: Millimetres = Millimetres(50);
 
-/// How far beyond the rectangle of a floor plan robots may go, in metres: so that one that has drifted is not held outside.
+/// How far beyond what is known of a floor plan robots may go, in metres: so that one that has drifted is not held outside.
 const PLAN_MARGIN_M: f64 = 1.0;
 
 /// Runs a scenario.
@@ -92,9 +92,12 @@ pub fn run(options: &SimulateOptions) -> Result<Outcome, RunError> {
     let mut config = deployed(options, &scenario, &world);
     // Through gaps in its walls, robots would leave a plan, and explore the void.
     config.floor = plan.as_ref().and_then(|plan| {
-        let area = Area::rectangle_of(plan, PLAN_MARGIN_M);
-        let floor = DrivableFloor::new(RESOLUTION, Some(&area), None);
-        floor.inspect_err(|error| log::warn!("robots may leave the map: it {error}")).ok()
+        let area = Area::around_known(plan, PLAN_MARGIN_M).map_err(|error| error.to_string());
+        let floor = area.and_then(|area| {
+            let floor = DrivableFloor::new(RESOLUTION, Some(&area), None);
+            floor.map_err(|error| format!("it {error}"))
+        });
+        floor.inspect_err(|error| log::warn!("robots may leave the map: {error}")).ok()
     });
     config.labels = labels::read(options.run.labels.as_deref())?;
     if !options.no_classes {

@@ -7,7 +7,7 @@ use ubimap_protocol::{
     units::Millimetres,
 };
 
-use crate::grid::{MAX_CELLS, OccupancyGrid, is_inside, span};
+use crate::grid::{GridError, MAX_CELLS, OccupancyGrid, is_inside, span};
 
 /// An area of the floor.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,7 +65,7 @@ impl DrivableFloor {
                 return Err(AreaError::Corners(corners.len()));
             }
             (Some(Area::Polygon(corners)), _) => corners.clone(),
-            (Some(Area::FreeCells(grid)), _) | (None, Some(grid)) => outline(grid, 0.0).into(),
+            (Some(Area::FreeCells(grid)), _) | (None, Some(grid)) => outline(grid).into(),
             (None, None) => return Ok(floor),
         };
         let side_m = Millimetres(side.0.max(1)).metres();
@@ -109,9 +109,28 @@ impl DrivableFloor {
 }
 
 impl Area {
-    /// The rectangle of a map, whatever its cells are, with `margin_m` metres around it.
-    pub fn rectangle_of(map: &OccupancyGrid, margin_m: f64) -> Self {
-        Self::Polygon(outline(map, margin_m).into())
+    /// The free and occupied cells of a map, and all within `margin_m` metres of them along both axes.
+    ///
+    /// # Errors
+    /// [`GridError`], if that is too large.
+    pub fn around_known(map: &OccupancyGrid, margin_m: f64) -> Result<Self, GridError> {
+        let margin = (margin_m / map.resolution_m()).ceil() as usize;
+        let (width, height) = (map.width() + 2 * margin, map.height() + 2 * margin);
+        let origin = map.to_map([-(margin as f64); 2]);
+        let area = OccupancyGrid::new(map.resolution_m(), origin, width, height)?;
+        let mut area = area.with_yaw(map.yaw_rad())?;
+        for y in 0..map.height() {
+            for x in (0..map.width()).filter(|x| map.cell(*x, y) != Cell::Unknown) {
+                (x..=x + 2 * margin).for_each(|x| area.set(x, y + margin, Cell::Free));
+            }
+        }
+        for x in 0..width {
+            let rows = (0..map.height()).filter(|y| area.cell(x, y + margin) == Cell::Free);
+            for y in rows.collect::<Vec<_>>() {
+                (y..=y + 2 * margin).for_each(|y| area.set(x, y, Cell::Free));
+            }
+        }
+        Ok(Self::FreeCells(area))
     }
 
     fn contains(&self, corner: [f64; 2], side_m: f64) -> bool {
@@ -122,12 +141,10 @@ impl Area {
     }
 }
 
-/// The corners of a grid in `map`, with `margin_m` metres around it.
-fn outline(grid: &OccupancyGrid, margin_m: f64) -> [[f64; 2]; 4] {
-    let margin = margin_m / grid.resolution_m();
-    let (width, height) = (grid.width() as f64 + margin, grid.height() as f64 + margin);
-    [[-margin, -margin], [width, -margin], [width, height], [-margin, height]]
-        .map(|corner| grid.to_map(corner))
+/// The corners of a grid in `map`.
+fn outline(grid: &OccupancyGrid) -> [[f64; 2]; 4] {
+    let (width, height) = (grid.width() as f64, grid.height() as f64);
+    [[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]].map(|corner| grid.to_map(corner))
 }
 
 #[cfg(test)]
@@ -175,7 +192,7 @@ mod tests {
         assert!((-30..50).all(|column| {
             mask.allows(column, 7) == ((0..20).contains(&column) && column != 10)
         }));
-        let around = floor(Some(&Area::rectangle_of(&plan, 0.2)), None);
+        let around = floor(Some(&Area::around_known(&plan, 0.2).unwrap()), None);
         assert!((-30..50).all(|column| around.allows(column, 7) == (-4..24).contains(&column)));
         // Both together: the plan's walls go from any area.
         let half = Area::Polygon(vec![[0.4, 0.0], [2.0, 0.0], [2.0, 1.0], [0.4, 1.0]]);
@@ -183,6 +200,25 @@ mod tests {
         assert!((0..60).all(|column| {
             both.allows(column, 7) == ((8..40).contains(&column) && column != 10)
         }));
+    }
+
+    /// The plan of a room of which two cells are known, turned by 90 degrees.
+    #[test]
+    fn the_ground_around_what_is_known_of_a_map_leaves_the_rest_of_its_picture_out() {
+        let plan = OccupancyGrid::new(0.05, [1.0, 1.0], 40, 20).unwrap();
+        let mut plan = plan.with_yaw(std::f64::consts::FRAC_PI_2).unwrap();
+        plan.set(0, 0, Cell::Free);
+        plan.set(30, 10, Cell::Occupied);
+        let around = floor(Some(&Area::around_known(&plan, 0.1).unwrap()), None);
+        // A column of the picture is a row of the floor, and its rows go west.
+        let is_near = |column: i32, row: i32, [x, y]: [i32; 2]| {
+            let (x, y) = (row - 20 - x, 19 - column - y);
+            x.abs().max(y.abs()) <= 2
+        };
+        for (column, row) in (-20..30).flat_map(|column| (10..70).map(move |row| (column, row))) {
+            let is_in = [[0, 0], [30, 10]].iter().any(|it| is_near(column, row, *it));
+            assert_eq!(around.allows(column, row), is_in, "{column} {row}");
+        }
     }
 
     #[test]
