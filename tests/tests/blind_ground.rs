@@ -79,7 +79,7 @@ const HALL: &str = r#"
         [3.4, 2.6], [3.4, 3.4], [0.9, 3.4], [0.9, 2.6], [3.4, 2.6], [3.4, 3.4], [0.9, 3.4], [0.9, 2.6],
         [5.5, 2.6], [8.0, 3.4], [11.0, 2.6], [15.5, 3.2], [11.0, 2.6], [8.0, 3.4], [5.5, 2.6],
     ]
-    odometry = { slip = 0.02, drift_deg_per_m = 1.0 }
+    odometry = { slip = 0.02, turn_slip = 0.01, drift_deg_per_m = 1.0 }
 "#;
 
 /// Around a corner: two rooms and a passage; the camera sees the west of the first.
@@ -124,7 +124,7 @@ const ROOMS: &str = r#"
         [3.4, 1.6], [3.4, 2.4], [0.9, 2.4], [0.9, 1.6], [3.4, 1.6], [3.4, 2.4], [0.9, 2.4], [0.9, 1.6],
         [5.0, 2.0], [6.3, 3.0], [6.4, 6.6], [4.0, 7.1], [0.0, 6.7], [-2.5, 7.0], [0.0, 6.7], [4.0, 7.1], [6.4, 6.6], [6.3, 3.0], [5.0, 2.0],
     ]
-    odometry = { slip = 0.02, drift_deg_per_m = 1.0 }
+    odometry = { slip = 0.02, turn_slip = 0.01, drift_deg_per_m = 1.0 }
 "#;
 
 /// Another robot with perfect wheels, which drove the same way shortly before and looks around at

@@ -4,7 +4,7 @@
 //! A goal is searched for in the finest window that contains it, then in coarser ones. The robot
 //! drives only routes planned in the finest window: the result of a coarse window is planned again
 //! there, as far as the finest window reaches. A goal that can't be reached within any window is
-//! approached through the rims of the finer ones.
+//! approached through the rims of the finer ones. A way in a coarse window that ends where the robot stands is none.
 
 use heapless::Vec;
 use ubimap_protocol::{

@@ -116,8 +116,8 @@ fn it_reaches_goals_beyond_the_window_and_reports_unreachable_ones() {
 /// Walls drawn where nothing stands: column and row, length in cells, and whether it runs north.
 type Ghosts = [(i32, i32, i32, bool)];
 
-/// Sends a robot to a place in the door's rooms with such walls. Returns whether it stands in the end, and
-/// calls that driving.
+/// Sends a robot to a place in the door's rooms with such walls. Returns whether it stands still after 30 s, and
+/// reports that it drives.
 fn searches_for_ever(ghosts: &Ghosts, (x, y): (f64, f64)) -> bool {
     let mut it = Simulation::new(DOOR, 0.8, 1.2).with_map();
     for &(column, row, long, runs_north) in ghosts {

@@ -106,8 +106,8 @@ fn people(page: &mut Page, report: &Report) {
 
 fn errors(page: &mut Page, report: &Report, scripted: &Report) {
     page.say("Claimed, not measured: SLAM onboard accumulates drift, fixed cameras do not. The same \
-             three robots in the same run: with fixes of the cameras; by odometry alone (1 % slip, 0.5 \
-             degrees noise); and with scan matching of their own (point to line, with odometry as prior, \
+             three robots in the same run: with fixes of the cameras; by odometry alone (each with \
+             errors of its own, some 1 % and half a degree per metre); and with scan matching of their own (point to line, with odometry as prior, \
              without loop closure; a full SLAM would be better than that). Mean position errors:");
     let Some(baselines) = &report.baselines else { return };
     let rows = baselines.errors.iter().map(|errors| {

@@ -35,6 +35,9 @@ impl Approach<'_> {
     /// For each frontier, the reachable viewpoint with the lowest cost, except failed ones. `None`
     /// if there is none. Cost: one search.
     pub(super) fn views(&self, frontiers: &[&Frontier]) -> Vec<Option<Viewpoint>> {
+        if frontiers.is_empty() {
+            return Vec::new();
+        }
         let ways = self.terrain.everywhere(self.from);
         frontiers.iter().map(|frontier| self.view(frontier, ways.as_ref()?)).collect()
     }

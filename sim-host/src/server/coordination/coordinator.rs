@@ -195,8 +195,8 @@ impl Coordinator {
 
     /// The frontier that a robot is sent to look at, in metres in `map`.
     pub fn target(&self, robot: RobotId) -> Option<[f64; 2]> {
-        let target = self.members[self.index(robot).ok()?].target?;
-        (!target.is_shut_in).then(|| target.frontier.into())
+        let target = self.members[self.index(robot).ok()?].frontier_target()?;
+        Some(target.frontier.into())
     }
 
     pub(super) fn index(&self, robot: RobotId) -> Result<usize, usize> {

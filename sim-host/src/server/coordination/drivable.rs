@@ -119,15 +119,22 @@ impl Area {
         let origin = map.to_map([-(margin as f64); 2]);
         let area = OccupancyGrid::new(map.resolution_m(), origin, width, height)?;
         let mut area = area.with_yaw(map.yaw_rad())?;
+        // Along the rows, and then along the columns: from the last known cell before to the next one behind.
         for y in 0..map.height() {
-            for x in (0..map.width()).filter(|x| map.cell(*x, y) != Cell::Unknown) {
-                (x..=x + 2 * margin).for_each(|x| area.set(x, y + margin, Cell::Free));
+            let is_known = |x: &usize| map.cell(*x, y) != Cell::Unknown;
+            let mut next = 0;
+            for x in (0..map.width()).filter(is_known) {
+                (next.max(x)..=x + 2 * margin).for_each(|x| area.set(x, y + margin, Cell::Free));
+                next = x + 2 * margin + 1;
             }
         }
         for x in 0..width {
-            let rows = (0..map.height()).filter(|y| area.cell(x, y + margin) == Cell::Free);
-            for y in rows.collect::<Vec<_>>() {
-                (y..=y + 2 * margin).for_each(|y| area.set(x, y, Cell::Free));
+            let is_known = |y: &usize| area.cell(x, y + margin) == Cell::Free;
+            let known: Vec<usize> = (0..map.height()).filter(is_known).collect();
+            let mut next = 0;
+            for y in known {
+                (next.max(y)..=y + 2 * margin).for_each(|y| area.set(x, y, Cell::Free));
+                next = y + 2 * margin + 1;
             }
         }
         Ok(Self::FreeCells(area))

@@ -37,19 +37,20 @@ impl Coordinator {
         let member = &self.members[self.index(robot).ok()?];
         let place = |point: Point| [point.x, point.y];
         let goal = member.goal.map(place);
-        let look = |target: Target| match target.is_shut_in {
-            true => Errand::LooksForWay(place(target.view)),
-            false => Errand::Looks(place(target.frontier)),
+        let looks_at = |target: Target| match target.is_shut_in {
+            true => place(target.view),
+            false => place(target.frontier),
         };
-        if let Some(trouble) = member.trouble.filter(|_| member.halted.is_some()) {
-            return Some(Errand::Blocked(trouble.times));
+        if member.held_up.is_some()
+            && let Some(to) = goal.or(member.target.map(looks_at))
+        {
+            return Some(Errand::HeldUp(to));
         }
-        let held_up = member.held_up.and(goal.or(member.target.map(|it| place(it.frontier))));
         Some(match (goal, member.target) {
-            _ if held_up.is_some() => Errand::HeldUp(held_up?),
             (Some(goal), _) if member.is_told => Errand::NoWay(goal),
             (Some(goal), _) => Errand::Goal(goal),
-            (None, Some(target)) => look(target),
+            (None, Some(target)) if target.is_shut_in => Errand::LooksForWay(looks_at(target)),
+            (None, Some(target)) => Errand::Looks(looks_at(target)),
             (None, None) if member.recall.is_none() => {
                 member.refuge.map_or(Errand::Waits, |it| Errand::Recalled(place(it)))
             }

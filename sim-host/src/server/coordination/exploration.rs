@@ -8,6 +8,7 @@ use super::{
     coordinator::Coordinator,
     frontiers::{Frontier, frontiers},
     ground::{Disc, Ground},
+    member::Member,
     target::{Target, Tried},
 };
 
@@ -31,7 +32,7 @@ impl Coordinator {
     }
 
     /// Drops targets that have been explored, or that turn out to be invisible from the chosen
-    /// viewpoint.
+    /// viewpoint. A robot that is shut in looks, whoever explores the frontier meanwhile.
     fn drop_targets(&mut self, now: Instant) {
         let (look, rules) = (self.settings.look, self.settings.exploration);
         let arrives = self.settings.following.tiles_arrive;
@@ -63,17 +64,23 @@ impl Coordinator {
         let views: Vec<Vec<Option<Viewpoint>>> =
             idle.iter().map(|&index| self.approach(ground, index, &tried).views(&left)).collect();
         let mut given = self.cheapest(ground, &open, &idle, &views);
-        let is_shut_in = |(_, views): &(&usize, &Vec<Option<Viewpoint>>)| {
-            !left.is_empty() && views.iter().all(Option::is_none)
-        };
-        let shut_in: Vec<usize> =
-            idle.iter().zip(&views).filter(is_shut_in).map(|(&index, _)| index).collect();
+        let has_none = |views: &Vec<Option<Viewpoint>>| views.iter().all(Option::is_none);
+        // Where a look was in vain, it could stand.
+        let is_shut_in = |index: usize| has_none(&self.approach(ground, index, &[]).views(&left));
+        let viewless = idle.iter().zip(&views).filter(|(_, views)| has_none(views));
+        let shut_in: Vec<usize> = viewless
+            .map(|(&index, _)| index)
+            .filter(|&index| !left.is_empty() && is_shut_in(index))
+            .collect();
         if given.is_empty() {
             given.extend(self.second_look(ground, &left, &idle, &shut_in, now));
         }
         for (index, member) in self.members.iter_mut().enumerate() {
             let since = member.shut_in_since.unwrap_or(now);
             member.shut_in_since = shut_in.contains(&index).then_some(since);
+            if idle.contains(&index) && !shut_in.contains(&index) {
+                member.no_way_out.clear();
+            }
         }
         for (index, target) in given {
             let member = &mut self.members[index];
@@ -161,14 +168,14 @@ impl Coordinator {
             let looks = self.tried.iter().filter(|tried| tried.is_of(it.place, rules.tried_m));
             looks.count() >= rules.most_looks
         };
-        let is_open = |it: &&Frontier| self.explored().all(|target| self.is_apart(it, &target));
+        let is_open =
+            |it: &&Frontier| self.frontier_targets().all(|target| self.is_apart(it, &target));
         self.frontiers.iter().filter(|it| !is_seen_in_vain(it)).partition(is_open)
     }
 
     /// The targets of the robots that are sent to frontiers.
-    pub(super) fn explored(&self) -> impl Iterator<Item = Target> {
-        let targets = self.members.iter().filter_map(|member| member.target);
-        targets.filter(|target| !target.is_shut_in)
+    pub(super) fn frontier_targets(&self) -> impl Iterator<Item = Target> {
+        self.members.iter().filter_map(Member::frontier_target)
     }
 
     /// Areas around the viewpoints from which frontiers were not seen.
@@ -222,7 +229,7 @@ impl Coordinator {
         let rules = &self.settings.exploration;
         let mut crowding = vec![0.0_f64; open.len()];
         for (index, member) in self.members.iter().enumerate() {
-            let Some(target) = member.target.filter(|target| !target.is_shut_in) else { continue };
+            let Some(target) = member.frontier_target() else { continue };
             let terrain = self.terrain(ground, index);
             let Some(ways) = terrain.everywhere(target.view) else { continue };
             for (frontier, crowded_m) in open.iter().zip(&mut crowding) {
@@ -262,12 +269,12 @@ impl Coordinator {
         }
     }
 
-    /// Gives up a frontier that can't be reached.
+    /// Gives up a target that can't be reached.
     pub(super) fn give_up_target(&mut self, index: usize, now: Instant) {
         self.put_off_target(index, now + self.settings.exploration.put_off);
     }
 
-    /// Gives up a robot's frontier until then.
+    /// Gives up a robot's target until then.
     pub(super) fn put_off_target(&mut self, index: usize, until: Instant) {
         let member = &mut self.members[index];
         (member.refuge, member.idle_since) = (None, None);

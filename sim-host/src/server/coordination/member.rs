@@ -33,9 +33,9 @@ pub(super) struct Member {
     pub(super) recall: Option<Instant>,
     /// Since when it has had nothing to do.
     pub(super) idle_since: Option<Instant>,
-    /// Since when it has had nothing to do, and has seen none of the frontiers that are left from where it gets.
+    /// Since when it has been idle, and could reach no viewpoint of a frontier that is left.
     pub(super) shut_in_since: Option<Instant>,
-    /// Where it looked in vain for a way out.
+    /// Where it looked in vain for a way out of the place where it is.
     pub(super) no_way_out: Vec<Tried>,
     /// When the robot was told to stop in order to get another route; `None` if it was not.
     pub(super) halted: Option<Instant>,
@@ -136,6 +136,11 @@ impl Member {
     /// The robot's goal, or the viewpoint of its target, or its refuge.
     pub(super) fn destination(&self) -> Option<Point> {
         self.goal.or(self.target.map(|target| target.view)).or(self.refuge)
+    }
+
+    /// The target, unless the robot is shut in, and leaves the frontier to others.
+    pub(super) fn frontier_target(&self) -> Option<Target> {
+        self.target.filter(|target| !target.is_shut_in)
     }
 
     /// Whether the robot may be given something to look at.

@@ -31,8 +31,8 @@ impl Coordinator {
         is_long_so && member.no_way_out.len() < rules.most_looks
     }
 
-    /// Of the places that one of these robots gets to, the one from which it is the shortest way to a frontier, as the
-    /// crow flies from there.
+    /// Of these robots and the places that they can reach, the pair with the least cost of driving there plus straight
+    /// distance to a frontier.
     fn nearest_look(
         &self,
         ground: &Ground,

@@ -389,7 +389,8 @@ pub struct ExplorationRules {
     /// Time for which other robots may block the way before a robot gives up a frontier.
     pub patience: Duration,
     /// Time after which a robot that gets to no frontier looks for a way out of where it is shut in: other robots may
-    /// have stood in its way. It gives up after `most_looks` within `tried_for`.
+    /// have stood in its way. It gives up after `most_looks` within `tried_for`; a
+    /// look that others prevented counts for `put_off`.
     pub shut_in_for: Duration,
     /// Time for which a frontier that was given up for lack of a way is not tried again.
     pub put_off: Duration,

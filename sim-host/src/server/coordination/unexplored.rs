@@ -46,7 +46,7 @@ impl Coordinator {
         let rules = &self.settings.exploration;
         let why = |at: usize, frontier: &Frontier| {
             let is_target = |place: Point| (frontier.place - place).norm() <= rules.same_m;
-            let mut targets = self.explored();
+            let mut targets = self.frontier_targets();
             let tried = self.tried.iter().filter(|it| it.is_of(frontier.place, rules.tried_m));
             match tried.count() {
                 _ if targets.any(|target| is_target(target.frontier)) => WhyUnexplored::IsTarget,

@@ -142,8 +142,8 @@ impl SystematicErrors {
         Motion::new((1.0 - self.ways.value) * way, turn + off)
     }
 
-    /// Learns from a motion that the odometry said, and whose turn, as it was corrected, was too large by `off`; this is
-    /// known with this variance.
+    /// Learns from a motion that the odometry said: `off` is its turn, as it was corrected, minus the true one, and
+    /// `variance` is that of `off`.
     pub(super) fn learn_turn(&mut self, rolled: &Motion, off: f64, variance: f64) {
         let (way, turn) = (rolled.translation.x, rolled.rotation.angle());
         let [by_turn, by_bend] = [(&self.turns, turn), (&self.bends, way)]
@@ -160,7 +160,7 @@ impl SystematicErrors {
     }
 }
 
-/// An error that grows with what it is an error of, and is being learnt.
+/// An error in proportion to a motion, which is being learnt, with its variance.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RateError {
     value: f64,

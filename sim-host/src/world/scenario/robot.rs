@@ -343,11 +343,12 @@ impl Default for RouteConfig {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OdometryConfig {
-    /// Relative error of measured distances (0.01: one per cent too long). Default: a deviation of 0.01.
+    /// Relative error of measured distances (0.01: one per cent too long). Default: drawn, standard deviation 0.01.
     pub slip: Option<f64>,
-    /// Relative error of measured turns. Default: a deviation of 0.01.
+    /// Relative error of measured turns. Default: drawn, standard deviation 0.01.
     pub turn_slip: Option<f64>,
-    /// Heading error gained per metre: wheels of unequal size. Default: a deviation of 0.5 degrees.
+    /// Heading error gained per metre: wheels of unequal size. Default: drawn, standard
+    /// deviation 0.5.
     pub drift_deg_per_m: Option<f64>,
     /// Standard deviation of the distance after one metre; grows with the square root of the distance.
     pub noise_m: f64,
