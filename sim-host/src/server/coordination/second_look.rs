@@ -21,7 +21,7 @@ impl Coordinator {
         let looks_for_way = |index: &usize| self.looks_for_way(*index, now);
         let shut_in: Vec<usize> = shut_in.iter().copied().filter(looks_for_way).collect();
         let (index, target) = self.nearest_look(ground, left, &shut_in)?;
-        Some((index, target.from_inside()))
+        Some((index, target.shut_in()))
     }
 
     /// Whether a robot that is shut in has been so for long, and has not looked often in vain.

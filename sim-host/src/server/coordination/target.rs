@@ -26,7 +26,7 @@ impl Target {
     }
 
     /// The same for a robot that is shut in.
-    pub(super) fn from_inside(self) -> Self {
+    pub(super) fn shut_in(self) -> Self {
         Self { is_shut_in: true, ..self }
     }
 
