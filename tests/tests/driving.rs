@@ -95,7 +95,7 @@ fn run(scenario: &str, seed: u64, options: &[&str]) -> Outcome {
     let outcome = simulated(scenario, &[&["--seed", &seed], cameras, options].concat());
     let driving = outcome.report.driving.unwrap();
     assert_eq!(driving.collisions, 0, "{}", outcome.report);
-    // Somebody walks up to a robot that is still braking in one run of twenty: README.md.
+    // In 2 of 46 runs of `room` a robot that moved touched somebody who came near: README.md.
     assert!(driving.touches <= 1, "{}", outcome.report);
     outcome
 }

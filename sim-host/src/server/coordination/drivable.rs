@@ -209,7 +209,7 @@ mod tests {
         }));
     }
 
-    /// The plan of a room of which two cells are known, turned by 90 degrees.
+    /// A plan with two known cells, turned by 90 degrees.
     #[test]
     fn the_ground_around_what_is_known_of_a_map_leaves_the_rest_of_its_picture_out() {
         let plan = OccupancyGrid::new(0.05, [1.0, 1.0], 40, 20).unwrap();

@@ -1,5 +1,5 @@
-//! What a robot tells of its odometry: how it moved from one view to the next, and by how much it misjudges ways and
-//! turns, and bends ways that are straight.
+//! What a robot tells of its odometry: how it moved from one view to the next, and its systematic errors: of distances, of
+//! turns, and of the heading on straight ways.
 
 use nalgebra::UnitComplex;
 use ubimap_agent::locate::OdometryNoise;
