@@ -49,14 +49,15 @@ impl Bench {
 
     /// Like `count`, including the overhead of measuring.
     fn ticks<T>(&mut self, stage: impl FnOnce() -> T) -> (T, Option<u32>) {
-        // SysTick counts down, and wraps at most once within a period. The emulator may set the flag a
-        // little after the counter has wrapped.
+        // SysTick counts down, and wraps at most once within a period. It sets the flag at zero, one tick
+        // before it reloads; the emulator may set it a little after that.
         self.systick.has_wrapped();
         let start = SYST::get_current();
         let result = black_box(stage());
+        let has_wrapped = self.systick.has_wrapped();
         let end = SYST::get_current();
         let has_just_wrapped = start > PERIOD - 64;
-        let wrapped = self.systick.has_wrapped() && !has_just_wrapped;
+        let wrapped = has_wrapped && !has_just_wrapped && end != 0;
         let ticks = match start.checked_sub(end) {
             None => Some(start + PERIOD - end),
             Some(_) if wrapped => None,
