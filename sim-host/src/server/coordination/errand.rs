@@ -4,7 +4,9 @@ use core::fmt;
 
 use ubimap_protocol::units::RobotId;
 
-use super::{coordinator::Coordinator, ground::Point, target::Target};
+use super::{
+    calibration_drive::Calibration, coordinator::Coordinator, ground::Point, target::Target,
+};
 
 /// What a robot is doing for the coordinator. The text continues a sentence that starts with the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,8 +17,10 @@ pub enum Errand {
     Waits,
     /// It may explore, finds nothing to look at, and returns into the cameras' view, to that place.
     Returns([f64; 2]),
-    /// It has driven far out of the cameras' view, where its pose drifts, and returns into view at that place.
+    /// It has driven out of the cameras' view, where its pose drifts, and returns into view at that place.
     Recalled([f64; 2]),
+    /// It drives to and fro in the cameras' view, now to that place, to calibrate its odometry.
+    Calibrates([f64; 2]),
     /// It drives to a goal in `map`, in metres.
     Goal([f64; 2]),
     /// There is no way to its goal at present.
@@ -54,6 +58,9 @@ impl Coordinator {
             (None, None) if member.recall.is_none() => {
                 member.refuge.map_or(Errand::Waits, |it| Errand::Recalled(place(it)))
             }
+            (None, None) if member.calibration == Calibration::Due => {
+                member.refuge.map_or(Errand::Waits, |it| Errand::Calibrates(place(it)))
+            }
             (None, None) if member.refuge.is_some() => Errand::Returns(member.refuge.map(place)?),
             (None, None) if member.explores => Errand::Waits,
             (None, None) => Errand::Idle,
@@ -85,6 +92,12 @@ impl fmt::Display for Errand {
                 write!(
                     f,
                     "explores; its pose may have drifted, so that it comes into view at {x:.2} m, {y:.2} m"
+                )
+            }
+            Self::Calibrates([x, y]) => {
+                write!(
+                    f,
+                    "explores; drives to and fro in view to calibrate its odometry, now to {x:.2} m, {y:.2} m"
                 )
             }
             Self::Blocked(1) => write!(f, "was blocked, and gets another path"),

@@ -26,6 +26,7 @@ impl Coordinator {
         }
         self.drop_targets(now);
         self.call_back(&ground, now);
+        self.calibrate(&ground, now);
         self.assign_targets(&ground, now);
         self.send_back(&ground, now);
         self.ground = Some(ground);
@@ -90,79 +91,8 @@ impl Coordinator {
         }
     }
 
-    /// Calls robots back into the cameras' view whose poses may have drifted, and lets those that cameras have
-    /// seen again go on.
-    fn call_back(&mut self, ground: &Ground, now: Instant) {
-        let rules = self.settings.exploration;
-        for index in 0..self.members.len() {
-            let member = &mut self.members[index];
-            if !member.is_exploring() {
-                continue;
-            }
-            let is_adrift = member.is_adrift(rules.blind_m);
-            match member.recall {
-                None if !is_adrift => member.recall = Some(now),
-                // It had to give up the way, or nobody sees it where cameras should.
-                None if member.refuge.is_none() => member.recall = Some(now + rules.recall_again),
-                Some(from) if is_adrift && from <= now => {
-                    if self.take_refuge(ground, index, now) {
-                        let member = &mut self.members[index];
-                        (member.target, member.recall) = (None, None);
-                    } else {
-                        self.members[index].recall = Some(now + rules.recall_again);
-                    }
-                }
-                _ => {}
-            }
-        }
-    }
-
-    /// Sends robots that find nothing to look at back into the cameras' view, where their poses do not drift and
-    /// they are in nobody's way.
-    fn send_back(&mut self, ground: &Ground, now: Instant) {
-        let Some(returns_after) = self.settings.exploration.returns_after else { return };
-        for index in 0..self.members.len() {
-            let radius = self.members[index].radius_m;
-            let place = self.reservations.claim(index).position();
-            let stays = !self.members[index].is_idle()
-                || ground.is_in_view(&Disc { centre: place, radius });
-            let member = &mut self.members[index];
-            if stays {
-                member.idle_since = None;
-                continue;
-            }
-            let idle_since = *member.idle_since.get_or_insert(now);
-            if member.refuge.is_some() || now.since(idle_since) < returns_after {
-                continue;
-            }
-            // If there is no such place, it looks for one again after a while.
-            member.idle_since = Some(now);
-            self.take_refuge(ground, index, now);
-        }
-    }
-
-    /// Sends a robot to the nearest place in the cameras' view that no other robot stands on or is to cross.
-    /// Returns whether there is one.
-    fn take_refuge(&mut self, ground: &Ground, index: usize, now: Instant) -> bool {
-        let radius = self.members[index].radius_m + self.settings.exploration.within_m;
-        let approach = self.approach(ground, index, &[]);
-        let suits = |at| {
-            let disc = Disc { centre: ground.place(at), radius };
-            approach.terrain.is_open(at) && !approach.in_the_way[at] && ground.is_in_view(&disc)
-        };
-        let route = approach.terrain.nearest(approach.from, suits);
-        let refuge = route.and_then(|route| route.last().copied());
-        if refuge.is_some() {
-            let member = &mut self.members[index];
-            member.refuge = refuge;
-            member.set_out(now);
-            self.reservations.drop_ahead(index);
-        }
-        refuge.is_some()
-    }
-
     /// The frontiers that have not been given up: those that are no robot's target, and the others.
-    fn frontiers_left(&self) -> (Vec<&Frontier>, Vec<&Frontier>) {
+    pub(super) fn frontiers_left(&self) -> (Vec<&Frontier>, Vec<&Frontier>) {
         let rules = &self.settings.exploration;
         let is_seen_in_vain = |it: &Frontier| {
             let looks = self.tried.iter().filter(|tried| tried.is_of(it.place, rules.tried_m));
@@ -274,10 +204,11 @@ impl Coordinator {
         self.put_off_target(index, now + self.settings.exploration.put_off);
     }
 
-    /// Gives up a robot's target until then.
+    /// Gives up a robot's target, or its calibration, until then.
     pub(super) fn put_off_target(&mut self, index: usize, until: Instant) {
         let member = &mut self.members[index];
         (member.refuge, member.idle_since) = (None, None);
+        member.calibration.put_off(until);
         let Some(target) = member.target.take() else { return };
         let tried = if target.is_shut_in { &mut member.no_way_out } else { &mut self.tried };
         tried.push(Tried::new(&target, until));

@@ -6,6 +6,7 @@ use ubimap_protocol::{
 };
 
 use super::{
+    calibration_drive::Calibration,
     ground::Point,
     settings::{EscalationRules, FollowingRules},
     situation::Whereabouts,
@@ -27,6 +28,9 @@ pub(super) struct Member {
     pub(super) target: Option<Target>,
     /// Where the robot waits in the cameras' view, while it has neither goal nor target.
     pub(super) refuge: Option<Point>,
+    /// Distance that the robot has driven in the cameras' view, in metres.
+    pub(super) seen_m: f64,
+    pub(super) calibration: Calibration,
     /// Distance that the robot has driven since cameras last saw it, in metres.
     driven_m: f64,
     /// When it may next be called back into view for that; `None` while it is called back.
@@ -80,6 +84,8 @@ impl Member {
             goal: None,
             target: None,
             refuge: None,
+            seen_m: 0.0,
+            calibration: Calibration::Missing(Instant(0)),
             driven_m: 0.0,
             recall: Some(Instant(0)),
             idle_since: None,
@@ -114,7 +120,9 @@ impl Member {
         self.seen = self.seen.max(robot.moment);
         let step_m = (robot.place() - core::mem::replace(&mut self.place, robot.place())).norm();
         self.driven_m = if robot.is_in_view { 0.0 } else { self.driven_m + step_m };
-        if (robot.place() - self.still_at).norm() > rules.still_m {
+        let moved_m = (robot.place() - self.still_at).norm();
+        if moved_m > rules.still_m {
+            self.seen_m += if robot.is_in_view { moved_m } else { 0.0 };
             (self.still_at, self.still_since) = (robot.place(), robot.moment);
         }
         let was_lost = self.lost.is_some();
@@ -145,7 +153,8 @@ impl Member {
 
     /// Whether the robot may be given something to look at.
     pub(super) fn is_idle(&self) -> bool {
-        self.is_exploring() && self.target.is_none() && self.recall.is_some()
+        let is_free = self.recall.is_some() && self.calibration != Calibration::Due;
+        self.is_exploring() && self.target.is_none() && is_free
     }
 
     /// Whether the robot explores now.

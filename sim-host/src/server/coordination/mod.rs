@@ -16,12 +16,15 @@
 //! | `coordinator` | all of these | commands, in ticks: |
 //! | `following` | | checks that robots follow their paths |
 //! | `exploration` | | distributes frontiers |
+//! | `refuge` | | sends robots back into the cameras' view |
+//! | `calibration_drive` | | lets them drive there to learn the errors of their odometry |
 //! | `second_look` | | sends robots to what blocks the way to frontiers, which may have gone |
 //! | `errand` | | says what a robot is doing |
 //! | `routing` | | finds and grants routes |
 
 mod approach;
 mod assignment;
+mod calibration_drive;
 mod coordinator;
 mod drivable;
 mod errand;
@@ -31,6 +34,7 @@ mod following;
 mod frontiers;
 mod ground;
 mod member;
+mod refuge;
 mod reservation;
 mod route;
 mod routing;

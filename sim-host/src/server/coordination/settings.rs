@@ -38,6 +38,8 @@ pub struct Settings {
     pub viewpoints: ViewpointCosts,
     /// How frontiers are distributed among robots.
     pub exploration: ExplorationRules,
+    /// How robots calibrate their odometry.
+    pub calibration: CalibrationRules,
 }
 
 impl Default for Settings {
@@ -58,6 +60,7 @@ impl Default for Settings {
             frontiers: FrontierRules::default(),
             viewpoints: ViewpointCosts::default(),
             exploration: ExplorationRules::default(),
+            calibration: CalibrationRules::default(),
         }
     }
 }
@@ -423,6 +426,38 @@ impl Default for ExplorationRules {
             within_m: 0.3,
             recall_again: Duration::from_secs(30),
             returns_after: None,
+        }
+    }
+}
+
+/// How exploring robots calibrate their odometry: they drive to and fro where cameras see them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CalibrationRules {
+    /// Distance that a robot drives in view until its odometry counts as calibrated, in metres.
+    pub way_m: f64,
+    /// Distance in metres that it may drive out of view before that; afterwards it is
+    /// [`ExplorationRules::blind_m`]. Where cameras see nearly all of a room, few robots are called back.
+    pub blind_m: f64,
+    /// Minimum length of a straight way, in metres: robots learn from ways of a metre and more.
+    pub least_m: f64,
+    /// Maximum length of a straight way, in metres.
+    pub most_m: f64,
+    /// Distance from the end of a way at which the next one begins, in metres, so that a robot does not stop to look
+    /// around.
+    pub next_m: f64,
+    /// Time for which a robot explores without it if there is no such way.
+    pub put_off: Duration,
+}
+
+impl Default for CalibrationRules {
+    fn default() -> Self {
+        Self {
+            way_m: 10.0,
+            blind_m: 2.0,
+            least_m: 1.2,
+            most_m: 4.0,
+            next_m: 0.5,
+            put_off: Duration::from_secs(300),
         }
     }
 }

@@ -103,6 +103,7 @@ fn robots_come_into_view_before_their_poses_drift_far() {
         let seen: Vec<_> = floor.plan.places().filter(|it| middle(*it).x < 3.0).collect();
         set(&mut floor.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
         floor.coordinator.settings.exploration.blind_m = blind_m;
+        floor.coordinator.settings.calibration.way_m = 0.0;
         let (mut left, mut farthest, mut is_recalled) = (0.0, 0.0_f64, false);
         let (mut looked, mut busy) = (0, floor.now);
         floor.run(400, |floor| {
@@ -130,6 +131,57 @@ fn robots_come_into_view_before_their_poses_drift_far() {
     // Nothing is farther than 12 m away, and the way back is not counted before.
     assert!(recalled < 8.0 + 14.0 && endless > recalled + 10.0, "{endless}, {recalled}");
     assert!(f64::from(known) > 0.99 * f64::from(all), "all is explored: {known} of {all} cells");
+}
+
+/// Cameras see the westernmost part, of this width, of twelve metres of rooms. Returns how far the robot drove to calibrate
+/// its odometry, for which it has to drive `way_m` in view; how far out of view before; and the number of cells known at the
+/// end.
+fn calibrating(seen_m: f64, way_m: f64) -> (f64, f64, u32) {
+    let mut floor = exploring(rooms(), &[Point::new(1.0, 4.0)], 1);
+    floor.coordinator.settings.calibration.way_m = way_m;
+    let seen: Vec<_> = floor.plan.places().filter(|it| middle(*it).x < seen_m).collect();
+    set(&mut floor.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
+    let (mut way, mut left, mut farthest, mut looked) = (0.0, 0.0, 0.0_f64, 0);
+    let mut driven = 0.0;
+    floor.run(400, |floor| {
+        if floor.now.micros() / 500_000 != looked {
+            looked = floor.now.micros() / 500_000;
+            floor.look_around();
+        }
+        let body = &floor.bodies[0];
+        let step = body.driven - core::mem::replace(&mut driven, body.driven);
+        if matches!(floor.coordinator.errand(id(0)), Some(Errand::Calibrates(_))) {
+            way += step;
+        }
+        if floor.is_in_view(body.place) {
+            left = body.driven;
+        }
+        if way == 0.0 {
+            farthest = farthest.max(body.driven - left);
+        }
+        false
+    });
+    assert!(!floor.is_blocked());
+    (way, farthest, known(&floor).0)
+}
+
+#[test]
+fn a_robot_calibrates_its_odometry_in_view_before_it_goes_far() {
+    let (none, _, all) = calibrating(3.0, 0.0);
+    let (way, farthest, known) = calibrating(3.0, 10.0);
+    println!("{way:.1} m to calibrate, {farthest:.1} m out of view before; {known} of {all} known");
+    assert_eq!(none, 0.0);
+    // It has driven some metres in view before, and finishes its last way.
+    assert!((5.0..14.0).contains(&way), "{way}");
+    // After 4 m it still looks where it was sent, and comes back.
+    assert!(farthest < 4.0 + 14.0, "{farthest}");
+    assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all}");
+}
+
+#[test]
+fn where_there_is_no_way_in_view_to_calibrate_odometry_robots_explore_all_the_same() {
+    let [(_, _, all), (way, _, known)] = [0.0, 10.0].map(|way_m| calibrating(1.2, way_m));
+    assert!(f64::from(known) > 0.99 * f64::from(all), "{way} m, {known} of {all}");
 }
 
 /// Runs until all ground is known, or for a limited time. Checks that no two robots go to the same
