@@ -1,102 +1,121 @@
-//! Lets robots drive to and fro in the cameras' view, where they learn the systematic errors of their odometry: what
-//! robots draw far out of view is as good as their odometry.
+//! Drives robots to and fro in the cameras' view, where they learn the systematic errors of their odometry: what robots
+//! draw far out of view is as good as their odometry.
 
-use ubimap_protocol::time::Instant;
+use ubimap_protocol::time::{Duration, Instant};
 
 use super::{
     coordinator::Coordinator,
     ground::{Disc, Ground, Point},
+    member::Member,
 };
 
 /// What is known of the calibration of a robot's odometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Calibration {
+pub(super) enum OdometryCalibration {
     /// It is missing. The robot may be called into view for it from then on.
     Missing(Instant),
-    /// The robot drives in view for it, or comes into view.
-    Due,
+    /// The robot comes into view for it, or drives there: since then.
+    Due(Instant),
     /// The robot has driven far enough in view.
     Done,
 }
 
-impl Calibration {
-    /// Whether the robot is not to be called into view for it.
-    pub(super) fn is_over(self, now: Instant) -> bool {
-        self == Self::Done || matches!(self, Self::Missing(from) if now < from)
+impl OdometryCalibration {
+    /// Whether the robot may be called into view for it.
+    pub(super) fn is_wanted(self, now: Instant) -> bool {
+        match self {
+            Self::Missing(from) => from <= now,
+            Self::Due(_) => true,
+            Self::Done => false,
+        }
+    }
+
+    pub(super) fn is_due(self) -> bool {
+        matches!(self, Self::Due(_))
     }
 
     /// Lets the robot explore without it until then.
     pub(super) fn put_off(&mut self, until: Instant) {
-        if *self == Self::Due {
+        if self.is_due() {
             *self = Self::Missing(until);
         }
+    }
+
+    /// Whether it was begun at least this long ago.
+    fn is_late(self, patience: Duration, now: Instant) -> bool {
+        matches!(self, Self::Due(since) if now.since(since) >= patience)
     }
 }
 
 impl Coordinator {
-    /// Sends robots whose calibration is due to the other end of a straight way in the cameras' view, until they have
-    /// driven far enough there or nothing is left to explore. Cost: 25,000 cells for each way that begins.
+    /// Sends a robot whose calibration is due to the other end of a straight way in the cameras' view, until it has
+    /// driven far enough there. One robot each time, so that the next one knows its route. Cost: one terrain.
     pub(super) fn calibrate(&mut self, ground: &Ground, now: Instant) {
         let rules = self.settings.calibration;
-        let (open, taken) = self.frontiers_left();
-        let is_of_use = !open.is_empty() || !taken.is_empty();
-        for index in 0..self.members.len() {
-            let member = &mut self.members[index];
-            if member.seen_m >= rules.way_m {
-                member.calibration = Calibration::Done;
+        for member in &mut self.members {
+            if member.seen_m >= rules.distance_m {
+                member.calibration = OdometryCalibration::Done;
             }
-            if !is_of_use {
-                member.calibration.put_off(now);
-            }
-            let is_here =
-                member.is_exploring() && member.target.is_none() && member.recall.is_some();
-            if member.calibration != Calibration::Due || !is_here {
-                continue;
-            }
-            let place = self.reservations.claim(index).position();
-            if member.refuge.is_some_and(|end| (end - place).norm() > rules.next_m) {
-                continue;
-            }
-            match self.far_end(ground, index) {
-                Some(end) => {
-                    let member = &mut self.members[index];
-                    member.refuge = Some(end);
-                    member.set_out(now);
-                    self.reservations.drop_ahead(index);
-                }
-                None => self.members[index].calibration.put_off(now + rules.put_off),
+            if member.calibration.is_late(rules.patience, now) {
+                member.calibration.put_off(now + rules.put_off);
             }
         }
+        let begins = |index: &usize| {
+            let place = self.reservations.claim(*index).position();
+            self.members[*index].calibrates()
+                && self.members[*index]
+                    .refuge
+                    .is_none_or(|end| (end - place).norm() <= rules.turn_within_m)
+        };
+        let Some(index) = (0..self.members.len()).find(begins) else { return };
+        let end = self.far_end(ground, index);
+        let member = &mut self.members[index];
+        let Some(end) = end else { return member.calibration.put_off(now + rules.put_off) };
+        member.refuge = Some(end);
+        member.set_out(now);
+        self.reservations.drop_ahead(index);
     }
 
-    /// The end of the longest straight way through open ground in view, on which no other robot stands or is to drive.
+    /// The end of the longest straight way through free ground in view, on which no other robot stands or is to drive.
     fn far_end(&self, ground: &Ground, index: usize) -> Option<Point> {
-        let rules = &self.settings.calibration;
-        let approach = self.approach(ground, index, &[]);
-        let suits = |place| {
-            ground.at(place).is_some_and(|at| {
-                let is_open = approach.terrain.is_open(at) && !approach.in_the_way[at];
-                is_open && ground.is_covered(at)
+        let (rules, member) = (&self.settings.calibration, &self.members[index]);
+        let mut approach = self.approach(ground, index, &[]);
+        let passers = self.passers.iter().flat_map(|passer| &passer.discs);
+        for disc in passers.chain(self.held_up.iter().map(|(disc, _)| disc)) {
+            ground.within(&disc.grown(member.radius_m), |at| approach.in_the_way[at] = true);
+        }
+        let movable_cells = member.radius_m / ground.side_m();
+        // Cameras do not see the ground below the robot and behind it.
+        let hidden_m = member.radius_m + rules.hidden_m;
+        let place = self.reservations.claim(index).position();
+        let suits = |on_way: Point| {
+            ground.at(on_way).is_some_and(|at| {
+                let is_free = f64::from(ground.to_movable(at)) >= movable_cells * movable_cells;
+                let is_seen = ground.is_covered(at) || (on_way - place).norm() <= hidden_m;
+                approach.terrain.is_open(at) && !approach.in_the_way[at] && is_free && is_seen
             })
         };
         let from = approach.from;
-        // The robot itself hides the ground below it from cameras.
-        let hidden_m = self.members[index].radius_m;
         let is_straight = |end: Point| {
-            let way = end - from;
-            let steps = (way.norm() / ground.side_m()).ceil();
-            let parts = (1..=steps as usize).map(|step| step as f64 / steps);
-            let mut parts = parts.filter(|part| part * way.norm() > hidden_m);
-            parts.all(|part| suits(from + way * part))
+            let steps = ((end - from).norm() / ground.side_m()).ceil();
+            (1..=steps as usize).all(|step| suits(from + (end - from) * (step as f64 / steps)))
         };
-        let mut best = (rules.least_m, None);
+        let (mut longest_m, mut far_end) = (rules.least_m, None);
         ground.within(&Disc { centre: from, radius: rules.most_m }, |at| {
             let end = ground.place(at);
             let way_m = (end - from).norm();
-            if way_m > best.0 && is_straight(end) {
-                best = (way_m, Some(end));
+            if way_m > longest_m && ground.is_covered(at) && is_straight(end) {
+                (longest_m, far_end) = (way_m, Some(end));
             }
         });
-        best.1
+        far_end
+    }
+}
+
+impl Member {
+    /// Whether the robot is where cameras see it, and free to calibrate its odometry.
+    fn calibrates(&self) -> bool {
+        let is_free = self.is_exploring() && self.target.is_none() && self.recall.is_some();
+        self.calibration.is_due() && is_free
     }
 }

@@ -89,8 +89,8 @@ impl Coordinator {
         match checked {
             Ok(index) => {
                 let member = &mut self.members[index];
-                (member.goal, member.target, member.refuge) = (Some(goal), None, None);
-                member.trouble = None;
+                member.end_errand();
+                member.goal = Some(goal);
                 member.set_out(now);
                 self.reservations.drop_ahead(index);
             }
@@ -105,6 +105,9 @@ impl Coordinator {
         let Ok(index) = self.index(robot) else { return false };
         let member = &mut self.members[index];
         member.explores = explores;
+        if !explores {
+            member.stay_out();
+        }
         if !explores && (member.target.take().is_some() || member.refuge.take().is_some()) {
             self.reservations.drop_ahead(index);
         }
@@ -114,9 +117,7 @@ impl Coordinator {
     /// Takes a robot's goal or target away, and its memory of where it was blocked.
     pub fn end_errand(&mut self, robot: RobotId) {
         let Ok(index) = self.index(robot) else { return };
-        let member = &mut self.members[index];
-        (member.goal, member.target, member.refuge) = (None, None, None);
-        member.trouble = None;
+        self.members[index].end_errand();
         self.reservations.drop_ahead(index);
     }
 

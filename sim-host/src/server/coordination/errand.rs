@@ -4,9 +4,7 @@ use core::fmt;
 
 use ubimap_protocol::units::RobotId;
 
-use super::{
-    calibration_drive::Calibration, coordinator::Coordinator, ground::Point, target::Target,
-};
+use super::{coordinator::Coordinator, ground::Point, target::Target};
 
 /// What a robot is doing for the coordinator. The text continues a sentence that starts with the robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +36,8 @@ pub enum Errand {
 impl Coordinator {
     /// What a robot is doing; `None` if its position was never known.
     pub fn errand(&self, robot: RobotId) -> Option<Errand> {
-        let member = &self.members[self.index(robot).ok()?];
+        let index = self.index(robot).ok()?;
+        let (member, here) = (&self.members[index], self.reservations.claim(index).position());
         let place = |point: Point| [point.x, point.y];
         let goal = member.goal.map(place);
         let looks_at = |target: Target| match target.is_shut_in {
@@ -58,8 +57,8 @@ impl Coordinator {
             (None, None) if member.recall.is_none() => {
                 member.refuge.map_or(Errand::Waits, |it| Errand::Recalled(place(it)))
             }
-            (None, None) if member.calibration == Calibration::Due => {
-                member.refuge.map_or(Errand::Waits, |it| Errand::Calibrates(place(it)))
+            (None, None) if member.calibration.is_due() => {
+                Errand::Calibrates(place(member.refuge.unwrap_or(here)))
             }
             (None, None) if member.refuge.is_some() => Errand::Returns(member.refuge.map(place)?),
             (None, None) if member.explores => Errand::Waits,

@@ -6,7 +6,7 @@ use ubimap_protocol::{
 };
 
 use super::{
-    calibration_drive::Calibration,
+    calibration_drive::OdometryCalibration,
     ground::Point,
     settings::{EscalationRules, FollowingRules},
     situation::Whereabouts,
@@ -26,11 +26,12 @@ pub(super) struct Member {
     /// The goal given by a user; it takes precedence over frontiers.
     pub(super) goal: Option<Point>,
     pub(super) target: Option<Target>,
-    /// Where the robot waits in the cameras' view, while it has neither goal nor target.
+    /// Where the robot drives to in the cameras' view, while it has neither goal nor target.
     pub(super) refuge: Option<Point>,
-    /// Distance that the robot has driven in the cameras' view, in metres.
+    /// Distance that the robot has driven in the cameras' view, in metres; short moves to and fro count, although robots
+    /// learn little from them.
     pub(super) seen_m: f64,
-    pub(super) calibration: Calibration,
+    pub(super) calibration: OdometryCalibration,
     /// Distance that the robot has driven since cameras last saw it, in metres.
     driven_m: f64,
     /// When it may next be called back into view for that; `None` while it is called back.
@@ -85,7 +86,7 @@ impl Member {
             target: None,
             refuge: None,
             seen_m: 0.0,
-            calibration: Calibration::Missing(Instant(0)),
+            calibration: OdometryCalibration::Missing(Instant(0)),
             driven_m: 0.0,
             recall: Some(Instant(0)),
             idle_since: None,
@@ -119,10 +120,11 @@ impl Member {
         self.heading = robot.pose.heading.radians();
         self.seen = self.seen.max(robot.moment);
         let step_m = (robot.place() - core::mem::replace(&mut self.place, robot.place())).norm();
+        let is_seen = robot.is_in_view && self.driven_m == 0.0;
         self.driven_m = if robot.is_in_view { 0.0 } else { self.driven_m + step_m };
         let moved_m = (robot.place() - self.still_at).norm();
         if moved_m > rules.still_m {
-            self.seen_m += if robot.is_in_view { moved_m } else { 0.0 };
+            self.seen_m += if is_seen && moved_m < rules.jump_m { moved_m } else { 0.0 };
             (self.still_at, self.still_since) = (robot.place(), robot.moment);
         }
         let was_lost = self.lost.is_some();
@@ -153,7 +155,7 @@ impl Member {
 
     /// Whether the robot may be given something to look at.
     pub(super) fn is_idle(&self) -> bool {
-        let is_free = self.recall.is_some() && self.calibration != Calibration::Due;
+        let is_free = self.recall.is_some() && !self.calibration.is_due();
         self.is_exploring() && self.target.is_none() && is_free
     }
 
@@ -196,6 +198,19 @@ impl Member {
     /// Whether the robot stands, or stood until a moment ago, because a person was in its way.
     pub(super) fn is_behind_person(&self, rules: &FollowingRules, now: Instant) -> bool {
         self.stood_for_person.is_some_and(|then| now.since(then) <= rules.behind_person)
+    }
+
+    /// Takes away whatever the robot has to do, and its memory of where it was blocked.
+    pub(super) fn end_errand(&mut self) {
+        (self.goal, self.target, self.refuge) = (None, None, None);
+        self.trouble = None;
+        self.stay_out();
+    }
+
+    /// The robot need not come into view any more.
+    pub(super) fn stay_out(&mut self) {
+        self.recall = Some(Instant(0));
+        self.calibration.put_off(Instant(0));
     }
 
     /// Prepares for a new destination.

@@ -17,7 +17,7 @@
 //! | `following` | | checks that robots follow their paths |
 //! | `exploration` | | distributes frontiers |
 //! | `refuge` | | sends robots back into the cameras' view |
-//! | `calibration_drive` | | lets them drive there to learn the errors of their odometry |
+//! | `calibration_drive` | | drives robots to and fro in view to calibrate their odometry |
 //! | `second_look` | | sends robots to what blocks the way to frontiers, which may have gone |
 //! | `errand` | | says what a robot is doing |
 //! | `routing` | | finds and grants routes |

@@ -3,34 +3,42 @@
 use ubimap_protocol::time::Instant;
 
 use super::{
-    calibration_drive::Calibration,
+    calibration_drive::OdometryCalibration,
     coordinator::Coordinator,
     ground::{Disc, Ground},
 };
 
 impl Coordinator {
     /// Calls robots back into the cameras' view whose poses may have drifted, and lets those that cameras have
-    /// seen again go on.
+    /// seen again go on. Where nothing is left to explore, nobody has to calibrate odometry.
     pub(super) fn call_back(&mut self, ground: &Ground, now: Instant) {
         let (rules, calibration) = (self.settings.exploration, self.settings.calibration);
+        let (open, taken) = self.frontiers_left();
+        let is_any_left = !open.is_empty() || !taken.is_empty();
         for index in 0..self.members.len() {
             let member = &mut self.members[index];
+            if !is_any_left {
+                member.calibration.put_off(now);
+            }
             if !member.is_exploring() {
                 continue;
             }
-            let is_calibrated = member.calibration.is_over(now);
-            let blind_m = if is_calibrated { rules.blind_m } else { calibration.blind_m };
+            let is_wanted = is_any_left && member.calibration.is_wanted(now);
+            let blind_m = if is_wanted { calibration.blind_m } else { rules.blind_m };
             let is_adrift = member.is_adrift(blind_m);
             match member.recall {
                 None if !is_adrift => member.recall = Some(now),
                 // It had to give up the way, or nobody sees it where cameras should.
-                None if member.refuge.is_none() => member.recall = Some(now + rules.recall_again),
+                None if member.refuge.is_none() => {
+                    member.recall = Some(now + rules.recall_again);
+                    member.calibration.put_off(now + calibration.put_off);
+                }
                 Some(from) if is_adrift && from <= now => {
                     if self.take_refuge(ground, index, now) {
                         let member = &mut self.members[index];
                         (member.target, member.recall) = (None, None);
-                        if !is_calibrated {
-                            member.calibration = Calibration::Due;
+                        if is_wanted {
+                            member.calibration = OdometryCalibration::Due(now);
                         }
                     } else {
                         self.members[index].recall = Some(now + rules.recall_again);

@@ -145,6 +145,8 @@ pub struct FollowingRules {
     /// Maximum movement of a robot that counts as standing still, in metres. It exceeds the noise
     /// of poses.
     pub still_m: f64,
+    /// A pose that is farther than this from the last one, in metres, was corrected: the robot did not drive there.
+    pub jump_m: f64,
     /// Distance from its route at which a robot gets a new one, in metres.
     pub astray_m: f64,
     /// A report of a reached end refers to the newest path if that was sent at least this long ago.
@@ -178,6 +180,7 @@ impl Default for FollowingRules {
         Self {
             arrived_m: 0.25,
             still_m: 0.03,
+            jump_m: 0.5,
             astray_m: 0.6,
             in_flight: Duration::from_secs(1),
             stalled: Duration::from_secs(6),
@@ -397,8 +400,8 @@ pub struct ExplorationRules {
     pub shut_in_for: Duration,
     /// Time for which a frontier that was given up for lack of a way is not tried again.
     pub put_off: Duration,
-    /// Distance in metres that an exploring robot may drive out of the cameras' view before it is called back there,
-    /// after the look that it is on its way to: its pose drifts, and so does what it draws.
+    /// Distance in metres that an exploring robot with calibrated odometry may drive out of the cameras' view before it is
+    /// called back there, after the look that it is on its way to: its pose drifts, and so does what it draws.
     pub blind_m: f64,
     /// How far within the view such a place is, in metres: the robot's pose may be off.
     pub within_m: f64,
@@ -430,11 +433,12 @@ impl Default for ExplorationRules {
     }
 }
 
-/// How exploring robots calibrate their odometry: they drive to and fro where cameras see them.
+/// How exploring robots calibrate their odometry: they drive to and fro where cameras see them. A restarted server lets them
+/// do so again.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationRules {
     /// Distance that a robot drives in view until its odometry counts as calibrated, in metres.
-    pub way_m: f64,
+    pub distance_m: f64,
     /// Distance in metres that it may drive out of view before that; afterwards it is
     /// [`ExplorationRules::blind_m`]. Where cameras see nearly all of a room, few robots are called back.
     pub blind_m: f64,
@@ -442,22 +446,29 @@ pub struct CalibrationRules {
     pub least_m: f64,
     /// Maximum length of a straight way, in metres.
     pub most_m: f64,
-    /// Distance from the end of a way at which the next one begins, in metres, so that a robot does not stop to look
+    /// Distance from the end of a way at which the robot gets the next one, in metres, so that it seldom stops to look
     /// around.
-    pub next_m: f64,
-    /// Time for which a robot explores without it if there is no such way.
+    pub turn_within_m: f64,
+    /// How far around a robot cameras do not see the ground, beyond its radius, in metres: its shadow, and where it was a
+    /// moment ago.
+    pub hidden_m: f64,
+    /// Time for which the robot tries: cameras may not see its tag where they see the ground.
+    pub patience: Duration,
+    /// Time for which it explores without calibration after it tried in vain, or found no such way.
     pub put_off: Duration,
 }
 
 impl Default for CalibrationRules {
     fn default() -> Self {
         Self {
-            way_m: 10.0,
+            distance_m: 10.0,
             blind_m: 2.0,
             least_m: 1.2,
             most_m: 4.0,
-            next_m: 0.5,
-            put_off: Duration::from_secs(300),
+            turn_within_m: 0.5,
+            hidden_m: 0.2,
+            patience: Duration::from_secs(180),
+            put_off: Duration::from_secs(60),
         }
     }
 }

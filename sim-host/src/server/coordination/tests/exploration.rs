@@ -103,7 +103,7 @@ fn robots_come_into_view_before_their_poses_drift_far() {
         let seen: Vec<_> = floor.plan.places().filter(|it| middle(*it).x < 3.0).collect();
         set(&mut floor.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
         floor.coordinator.settings.exploration.blind_m = blind_m;
-        floor.coordinator.settings.calibration.way_m = 0.0;
+        floor.coordinator.settings.calibration.distance_m = 0.0;
         let (mut left, mut farthest, mut is_recalled) = (0.0, 0.0_f64, false);
         let (mut looked, mut busy) = (0, floor.now);
         floor.run(400, |floor| {
@@ -133,16 +133,21 @@ fn robots_come_into_view_before_their_poses_drift_far() {
     assert!(f64::from(known) > 0.99 * f64::from(all), "all is explored: {known} of {all} cells");
 }
 
-/// Cameras see the westernmost part, of this width, of twelve metres of rooms. Returns how far the robot drove to calibrate
-/// its odometry, for which it has to drive `way_m` in view; how far out of view before; and the number of cells known at the
-/// end.
-fn calibrating(seen_m: f64, way_m: f64) -> (f64, f64, u32) {
+/// Lets a robot explore twelve metres of rooms, of which cameras see what `is_seen` says.
+fn calibrating(distance_m: f64, blind_m: f64, is_seen: impl Fn(Point) -> bool) -> Floor {
     let mut floor = exploring(rooms(), &[Point::new(1.0, 4.0)], 1);
-    floor.coordinator.settings.calibration.way_m = way_m;
-    let seen: Vec<_> = floor.plan.places().filter(|it| middle(*it).x < seen_m).collect();
+    let rules = &mut floor.coordinator.settings.calibration;
+    (rules.distance_m, rules.blind_m) = (distance_m, blind_m);
+    let seen: Vec<_> = floor.plan.places().filter(|it| is_seen(middle(*it))).collect();
     set(&mut floor.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
+    floor
+}
+
+/// How a robot calibrates its odometry in 400 s: how far it drives for that, how far out of view before, whether it was called
+/// back, and the number of cells that are known at the end.
+fn calibrated(mut floor: Floor) -> (f64, f64, bool, u32) {
     let (mut way, mut left, mut farthest, mut looked) = (0.0, 0.0, 0.0_f64, 0);
-    let mut driven = 0.0;
+    let (mut driven, mut is_recalled) = (0.0, false);
     floor.run(400, |floor| {
         if floor.now.micros() / 500_000 != looked {
             looked = floor.now.micros() / 500_000;
@@ -150,7 +155,9 @@ fn calibrating(seen_m: f64, way_m: f64) -> (f64, f64, u32) {
         }
         let body = &floor.bodies[0];
         let step = body.driven - core::mem::replace(&mut driven, body.driven);
-        if matches!(floor.coordinator.errand(id(0)), Some(Errand::Calibrates(_))) {
+        let errand = floor.coordinator.errand(id(0));
+        is_recalled |= matches!(errand, Some(Errand::Recalled(_)));
+        if matches!(errand, Some(Errand::Calibrates(_))) {
             way += step;
         }
         if floor.is_in_view(body.place) {
@@ -162,26 +169,66 @@ fn calibrating(seen_m: f64, way_m: f64) -> (f64, f64, u32) {
         false
     });
     assert!(!floor.is_blocked());
-    (way, farthest, known(&floor).0)
+    (way, farthest, is_recalled, known(&floor).0)
 }
 
 #[test]
 fn a_robot_calibrates_its_odometry_in_view_before_it_goes_far() {
-    let (none, _, all) = calibrating(3.0, 0.0);
-    let (way, farthest, known) = calibrating(3.0, 10.0);
-    println!("{way:.1} m to calibrate, {farthest:.1} m out of view before; {known} of {all} known");
+    let run = |distance_m, blind_m| calibrated(calibrating(distance_m, blind_m, |it| it.x < 3.0));
+    let (none, .., all) = run(0.0, 2.0);
+    let (way, farthest, is_recalled, known) = run(10.0, 2.0);
+    let (_, late, ..) = run(10.0, 20.0);
+    println!(
+        "{way:.1} m to calibrate, before {farthest:.1} and {late:.1} m out of view; {known} of {all} known"
+    );
     assert_eq!(none, 0.0);
-    // It has driven some metres in view before, and finishes its last way.
-    assert!((5.0..14.0).contains(&way), "{way}");
-    // After 4 m it still looks where it was sent, and comes back.
-    assert!(farthest < 4.0 + 14.0, "{farthest}");
+    // It has driven some metres in view before.
+    assert!(is_recalled && (5.0..12.0).contains(&way), "{way}");
+    assert!(farthest + 8.0 < late, "{farthest}, {late}");
+    assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all}");
+}
+
+/// The longest way is 1.1 m.
+#[test]
+fn where_there_is_no_way_in_view_to_calibrate_odometry_robots_explore_all_the_same() {
+    let is_seen = |it: Point| (it - Point::new(1.0, 4.0)).norm() < 0.55;
+    let [(.., all), (way, _, is_recalled, known)] =
+        [0.0, 10.0].map(|distance_m| calibrated(calibrating(distance_m, 2.0, is_seen)));
+    println!("{way:.1} m; {known} of {all} known");
+    assert!(is_recalled && way < 0.5, "{way}");
+    assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all}");
+}
+
+/// Its tag has come off.
+#[test]
+fn a_robot_that_cameras_do_not_see_where_they_see_the_ground_explores_on() {
+    let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
+    floor.has_tags = false;
+    let (way, _, is_recalled, known) = calibrated(floor);
+    let (.., all) = calibrated(calibrating(0.0, 2.0, |it| it.x < 3.0));
+    println!("{way:.1} m; {known} of {all} known");
+    assert!(is_recalled);
     assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all}");
 }
 
 #[test]
-fn where_there_is_no_way_in_view_to_calibrate_odometry_robots_explore_all_the_same() {
-    let [(_, _, all), (way, _, known)] = [0.0, 10.0].map(|way_m| calibrating(1.2, way_m));
-    assert!(f64::from(known) > 0.99 * f64::from(all), "{way} m, {known} of {all}");
+fn a_goal_takes_precedence_over_the_calibration_of_odometry() {
+    let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
+    let mut looked = 0;
+    floor.run(200, |floor| {
+        if floor.now.micros() / 500_000 != looked {
+            looked = floor.now.micros() / 500_000;
+            floor.look_around();
+        }
+        matches!(floor.coordinator.errand(id(0)), Some(Errand::Calibrates(_)))
+    });
+    let now = floor.now;
+    assert_eq!(floor.coordinator.goal(id(0), 1.5, 4.0, now), Ok(()));
+    assert_eq!(floor.coordinator.errand(id(0)), Some(Errand::Goal([1.5, 4.0])));
+    assert!(floor.coordinator.set_exploring(id(0), false));
+    floor.run(60, |floor| !floor.notices.is_empty());
+    assert_eq!(floor.notices.last().map(|it| it.2), Some(Notice::Reached));
+    assert_eq!(floor.coordinator.errand(id(0)), Some(Errand::Idle));
 }
 
 /// Runs until all ground is known, or for a limited time. Checks that no two robots go to the same

@@ -53,6 +53,8 @@ pub(super) struct Floor {
     pub(super) people: Vec<(Point, f64)>,
     pub(super) fused: ServedLayer,
     pub(super) coverage: ServedLayer,
+    /// Whether cameras see robots where they see the ground.
+    pub(super) has_tags: bool,
     pub(super) now: Instant,
     pub(super) notices: Vec<(Instant, RobotId, Notice)>,
     /// Number of pairs of robots whose discs overlapped, and of robots in walls, each summed over
@@ -119,6 +121,7 @@ impl Floor {
             people: Vec::new(),
             fused,
             coverage: ServedLayer::default(),
+            has_tags: true,
             now: Instant(0),
             notices: Vec::new(),
             overlaps: 0,
@@ -257,7 +260,7 @@ impl Floor {
                 y: Millimetres::from_metres(body.reported.1.y),
                 heading: Angle(0),
             },
-            is_in_view: self.is_in_view(body.reported.1),
+            is_in_view: self.has_tags && self.is_in_view(body.reported.1),
             footprint: Footprint::default(),
             obeys: body.obeys,
         };
