@@ -1,51 +1,13 @@
 //! Drives robots to and fro in the cameras' view, where they learn the systematic errors of their odometry: what robots
 //! draw far out of view is as good as their odometry.
 
-use ubimap_protocol::time::{Duration, Instant};
+use ubimap_protocol::time::Instant;
 
 use super::{
     coordinator::Coordinator,
     ground::{Disc, Ground, Point},
-    member::Member,
+    odometry_calibration::OdometryCalibration,
 };
-
-/// What is known of the calibration of a robot's odometry.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum OdometryCalibration {
-    /// It is missing. The robot may be called into view for it from then on.
-    Missing(Instant),
-    /// The robot comes into view for it, or drives there: since then.
-    Due(Instant),
-    /// The robot has driven far enough in view.
-    Done,
-}
-
-impl OdometryCalibration {
-    /// Whether the robot may be called into view for it.
-    pub(super) fn is_wanted(self, now: Instant) -> bool {
-        match self {
-            Self::Missing(from) => from <= now,
-            Self::Due(_) => true,
-            Self::Done => false,
-        }
-    }
-
-    pub(super) fn is_due(self) -> bool {
-        matches!(self, Self::Due(_))
-    }
-
-    /// Lets the robot explore without it until then.
-    pub(super) fn put_off(&mut self, until: Instant) {
-        if self.is_due() {
-            *self = Self::Missing(until);
-        }
-    }
-
-    /// Whether it was begun at least this long ago.
-    fn is_late(self, patience: Duration, now: Instant) -> bool {
-        matches!(self, Self::Due(since) if now.since(since) >= patience)
-    }
-}
 
 impl Coordinator {
     /// Sends a robot whose calibration is due to the other end of a straight way in the cameras' view, until it has
@@ -55,9 +17,6 @@ impl Coordinator {
         for member in &mut self.members {
             if member.seen_m >= rules.distance_m {
                 member.calibration = OdometryCalibration::Done;
-            }
-            if member.calibration.is_late(rules.patience, now) {
-                member.calibration.put_off(now + rules.put_off);
             }
         }
         let begins = |index: &usize| {
@@ -109,13 +68,5 @@ impl Coordinator {
             }
         });
         far_end
-    }
-}
-
-impl Member {
-    /// Whether the robot is where cameras see it, and free to calibrate its odometry.
-    fn calibrates(&self) -> bool {
-        let is_free = self.is_exploring() && self.target.is_none() && self.recall.is_some();
-        self.calibration.is_due() && is_free
     }
 }

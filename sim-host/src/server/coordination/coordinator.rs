@@ -107,9 +107,9 @@ impl Coordinator {
         member.explores = explores;
         if !explores {
             member.stay_out();
-        }
-        if !explores && (member.target.take().is_some() || member.refuge.take().is_some()) {
-            self.reservations.drop_ahead(index);
+            if member.target.take().is_some() || member.refuge.take().is_some() {
+                self.reservations.drop_ahead(index);
+            }
         }
         true
     }

@@ -6,8 +6,8 @@ use ubimap_protocol::{
 };
 
 use super::{
-    calibration_drive::OdometryCalibration,
     ground::Point,
+    odometry_calibration::OdometryCalibration,
     settings::{EscalationRules, FollowingRules},
     situation::Whereabouts,
     target::{Target, Tried},
@@ -157,6 +157,12 @@ impl Member {
     pub(super) fn is_idle(&self) -> bool {
         let is_free = self.recall.is_some() && !self.calibration.is_due();
         self.is_exploring() && self.target.is_none() && is_free
+    }
+
+    /// Whether the robot is to drive to and fro in view now.
+    pub(super) fn calibrates(&self) -> bool {
+        let is_free = self.target.is_none() && self.recall.is_some();
+        self.is_exploring() && self.calibration.is_due() && is_free
     }
 
     /// Whether the robot explores now.

@@ -12,7 +12,7 @@
 //! | `assignment` | those costs | which robot goes to which frontier |
 //! | `reservation` | routes | who may drive how far, without collision or deadlock |
 //! | `evasion` | reservations | standing robots that make way |
-//! | `target`, `member` | | the state of one target, and of one robot |
+//! | `target`, `odometry_calibration`, `member` | | the state of one target, and of one robot |
 //! | `coordinator` | all of these | commands, in ticks: |
 //! | `following` | | checks that robots follow their paths |
 //! | `exploration` | | distributes frontiers |
@@ -34,6 +34,7 @@ mod following;
 mod frontiers;
 mod ground;
 mod member;
+mod odometry_calibration;
 mod refuge;
 mod reservation;
 mod route;

@@ -3,9 +3,9 @@
 use ubimap_protocol::time::Instant;
 
 use super::{
-    calibration_drive::OdometryCalibration,
     coordinator::Coordinator,
     ground::{Disc, Ground},
+    odometry_calibration::OdometryCalibration,
 };
 
 impl Coordinator {
@@ -29,7 +29,9 @@ impl Coordinator {
             match member.recall {
                 None if !is_adrift => member.recall = Some(now),
                 // It had to give up the way, or nobody sees it where cameras should.
-                None if member.refuge.is_none() => {
+                None if member.refuge.is_none() => member.recall = Some(now + rules.recall_again),
+                // Nobody has seen it since.
+                Some(from) if is_adrift && from <= now && member.calibration.is_due() => {
                     member.recall = Some(now + rules.recall_again);
                     member.calibration.put_off(now + calibration.put_off);
                 }
@@ -38,7 +40,7 @@ impl Coordinator {
                         let member = &mut self.members[index];
                         (member.target, member.recall) = (None, None);
                         if is_wanted {
-                            member.calibration = OdometryCalibration::Due(now);
+                            member.calibration = OdometryCalibration::Due;
                         }
                     } else {
                         self.members[index].recall = Some(now + rules.recall_again);

@@ -452,9 +452,8 @@ pub struct CalibrationRules {
     /// How far around a robot cameras do not see the ground, beyond its radius, in metres: its shadow, and where it was a
     /// moment ago.
     pub hidden_m: f64,
-    /// Time for which the robot tries: cameras may not see its tag where they see the ground.
-    pub patience: Duration,
-    /// Time for which it explores without calibration after it tried in vain, or found no such way.
+    /// Time for which it explores without calibration if there is no such way, or if cameras do not see its tag where they
+    /// see the ground.
     pub put_off: Duration,
 }
 
@@ -467,8 +466,7 @@ impl Default for CalibrationRules {
             most_m: 4.0,
             turn_within_m: 0.5,
             hidden_m: 0.2,
-            patience: Duration::from_secs(180),
-            put_off: Duration::from_secs(60),
+            put_off: Duration::from_secs(120),
         }
     }
 }
