@@ -1,5 +1,5 @@
-//! Drives robots to and fro in the cameras' view, where they learn the systematic errors of their odometry: what robots
-//! draw far out of view is as good as their odometry.
+//! Drives robots to and fro in the cameras' view, where they learn the systematic errors of their odometry. Far out of view,
+//! their maps are only as good as their odometry.
 
 use ubimap_protocol::time::Instant;
 
@@ -10,8 +10,8 @@ use super::{
 };
 
 impl Coordinator {
-    /// Sends a robot whose calibration is due to the other end of a straight way in the cameras' view, until it has
-    /// driven far enough there. One robot each time, so that the next one knows its route. Cost: one terrain.
+    /// Sends robots whose calibration is due along straight ways in the cameras' view, until they have driven far enough
+    /// there. At most one robot per survey, so that the next one sees the ground that this one reserves.
     pub(super) fn calibrate(&mut self, ground: &Ground, now: Instant) {
         let rules = self.settings.calibration;
         for member in &mut self.members {
@@ -20,11 +20,9 @@ impl Coordinator {
             }
         }
         let begins = |index: &usize| {
-            let place = self.reservations.claim(*index).position();
-            self.members[*index].calibrates()
-                && self.members[*index]
-                    .refuge
-                    .is_none_or(|end| (end - place).norm() <= rules.turn_within_m)
+            let (member, claim) = (&self.members[*index], self.reservations.claim(*index));
+            let off_m = |end: Point| (end - claim.position()).norm();
+            member.calibrates() && member.refuge.is_none_or(|end| off_m(end) <= rules.turn_within_m)
         };
         let Some(index) = (0..self.members.len()).find(begins) else { return };
         let end = self.far_end(ground, index);
@@ -35,23 +33,17 @@ impl Coordinator {
         self.reservations.drop_ahead(index);
     }
 
-    /// The end of the longest straight way through free ground in view, on which no other robot stands or is to drive.
+    /// The end of the longest straight way through clear ground in view, on which no other robot stands or is to drive.
+    /// Cost: 2 to 3 ms for 540,000 cells.
     fn far_end(&self, ground: &Ground, index: usize) -> Option<Point> {
         let (rules, member) = (&self.settings.calibration, &self.members[index]);
-        let mut approach = self.approach(ground, index, &[]);
-        let passers = self.passers.iter().flat_map(|passer| &passer.discs);
-        for disc in passers.chain(self.held_up.iter().map(|(disc, _)| disc)) {
-            ground.within(&disc.grown(member.radius_m), |at| approach.in_the_way[at] = true);
-        }
-        let movable_cells = member.radius_m / ground.side_m();
-        // Cameras do not see the ground below the robot and behind it.
-        let hidden_m = member.radius_m + rules.hidden_m;
+        let approach = self.approach(ground, index, &[]);
         let place = self.reservations.claim(index).position();
+        let hidden_m = member.radius_m + rules.hidden_m;
         let suits = |on_way: Point| {
             ground.at(on_way).is_some_and(|at| {
-                let is_free = f64::from(ground.to_movable(at)) >= movable_cells * movable_cells;
                 let is_seen = ground.is_covered(at) || (on_way - place).norm() <= hidden_m;
-                approach.terrain.is_open(at) && !approach.in_the_way[at] && is_free && is_seen
+                is_seen && approach.terrain.is_clear(at) && !approach.in_the_way[at]
             })
         };
         let from = approach.from;

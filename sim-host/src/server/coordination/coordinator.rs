@@ -106,7 +106,7 @@ impl Coordinator {
         let member = &mut self.members[index];
         member.explores = explores;
         if !explores {
-            member.stay_out();
+            member.cancel_recall();
             if member.target.take().is_some() || member.refuge.take().is_some() {
                 self.reservations.drop_ahead(index);
             }

@@ -28,8 +28,8 @@ pub(super) struct Member {
     pub(super) target: Option<Target>,
     /// Where the robot drives to in the cameras' view, while it has neither goal nor target.
     pub(super) refuge: Option<Point>,
-    /// Distance that the robot has driven in the cameras' view, in metres; short moves to and fro count, although robots
-    /// learn little from them.
+    /// Distance that the robot has driven in the cameras' view, in metres. Includes short moves, from which robots learn
+    /// little.
     pub(super) seen_m: f64,
     pub(super) calibration: OdometryCalibration,
     /// Distance that the robot has driven since cameras last saw it, in metres.
@@ -206,15 +206,15 @@ impl Member {
         self.stood_for_person.is_some_and(|then| now.since(then) <= rules.behind_person)
     }
 
-    /// Takes away whatever the robot has to do, and its memory of where it was blocked.
+    /// Clears the robot's goal, target, refuge and recall, and its memory of where it was blocked.
     pub(super) fn end_errand(&mut self) {
         (self.goal, self.target, self.refuge) = (None, None, None);
         self.trouble = None;
-        self.stay_out();
+        self.cancel_recall();
     }
 
-    /// The robot need not come into view any more.
-    pub(super) fn stay_out(&mut self) {
+    /// Cancels a recall into view, and a calibration that is due.
+    pub(super) fn cancel_recall(&mut self) {
         self.recall = Some(Instant(0));
         self.calibration.put_off(Instant(0));
     }

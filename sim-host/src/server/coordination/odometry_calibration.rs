@@ -1,20 +1,20 @@
-//! What is known of the calibration of a robot's odometry.
+//! The state of a robot's odometry calibration.
 
 use ubimap_protocol::time::Instant;
 
-/// What is known of the calibration of a robot's odometry.
+/// The state of a robot's odometry calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum OdometryCalibration {
-    /// It is missing. The robot may be called into view for it from then on.
+    /// Not calibrated; the robot may be recalled for it from this time on.
     Missing(Instant),
-    /// The robot comes into view for it, or drives there.
+    /// The robot returns into view for it, or drives to and fro there.
     Due,
     /// The robot has driven far enough in view.
     Done,
 }
 
 impl OdometryCalibration {
-    /// Whether the robot may be called into view for it.
+    /// Whether the robot may be recalled for it, or is being calibrated.
     pub(super) fn is_wanted(self, now: Instant) -> bool {
         match self {
             Self::Missing(from) => from <= now,
@@ -27,7 +27,7 @@ impl OdometryCalibration {
         self == Self::Due
     }
 
-    /// Lets the robot explore without it until then.
+    /// Cancels a calibration that is due; the robot explores uncalibrated until then.
     pub(super) fn put_off(&mut self, until: Instant) {
         if self.is_due() {
             *self = Self::Missing(until);

@@ -10,7 +10,7 @@ use super::{
 
 impl Coordinator {
     /// Calls robots back into the cameras' view whose poses may have drifted, and lets those that cameras have
-    /// seen again go on. Where nothing is left to explore, nobody has to calibrate odometry.
+    /// seen again go on. Uncalibrated ones are called back earlier while ground is left to explore.
     pub(super) fn call_back(&mut self, ground: &Ground, now: Instant) {
         let (rules, calibration) = (self.settings.exploration, self.settings.calibration);
         let (open, taken) = self.frontiers_left();

@@ -46,6 +46,8 @@ pub(super) struct Terrain<'a> {
     weights: Vec<u8>,
     /// The cost factor of ground with little clearance.
     tight: u8,
+    /// The maximum cost factor of ground that nothing makes dear.
+    clear: u8,
     /// Squared distance from walls, in cells, that the robot keeps except in narrow places.
     least: u32,
 }
@@ -76,7 +78,9 @@ impl<'a> Terrain<'a> {
             _ => costs.empty.min(MAX_WEIGHT),
         };
         let weights = (0..ground.len()).map(weight).collect();
-        Self { ground, weights, tight: costs.tight.min(MAX_WEIGHT), least }
+        let [tight, clear] =
+            [costs.tight, costs.tight.max(costs.empty)].map(|it| it.min(MAX_WEIGHT));
+        Self { ground, weights, tight, clear, least }
     }
 
     /// Raises the cost factor in a disc to `weight`, at most to [`MAX_WEIGHT`].
@@ -99,6 +103,11 @@ impl<'a> Terrain<'a> {
     /// Whether the robot may stand in a cell.
     pub(super) fn is_open(&self, at: usize) -> bool {
         self.weights[at] != SHUT && !self.is_narrow(at)
+    }
+
+    /// Whether the robot may stand in a cell, and nobody and nothing movable makes it dear.
+    pub(super) fn is_clear(&self, at: usize) -> bool {
+        self.is_open(at) && self.weights[at] <= self.clear
     }
 
     /// Whether the robot may cross the cell, but is not sent to stand there.

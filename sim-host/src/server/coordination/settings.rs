@@ -145,7 +145,7 @@ pub struct FollowingRules {
     /// Maximum movement of a robot that counts as standing still, in metres. It exceeds the noise
     /// of poses.
     pub still_m: f64,
-    /// A pose that is farther than this from the last one, in metres, was corrected: the robot did not drive there.
+    /// Minimum step between two poses that counts as a correction instead of a motion, in metres.
     pub jump_m: f64,
     /// Distance from its route at which a robot gets a new one, in metres.
     pub astray_m: f64,
@@ -433,14 +433,13 @@ impl Default for ExplorationRules {
     }
 }
 
-/// How exploring robots calibrate their odometry: they drive to and fro where cameras see them. A restarted server lets them
-/// do so again.
+/// How exploring robots calibrate their odometry: by driving to and fro where cameras see them, once after each start of the
+/// server.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationRules {
-    /// Distance that a robot drives in view until its odometry counts as calibrated, in metres.
+    /// Distance driven in view after which odometry counts as calibrated, in metres.
     pub distance_m: f64,
-    /// Distance in metres that it may drive out of view before that; afterwards it is
-    /// [`ExplorationRules::blind_m`]. Where cameras see nearly all of a room, few robots are called back.
+    /// Maximum distance out of view before that, in metres; afterwards [`ExplorationRules::blind_m`] applies.
     pub blind_m: f64,
     /// Minimum length of a straight way, in metres: robots learn from ways of a metre and more.
     pub least_m: f64,
@@ -449,11 +448,10 @@ pub struct CalibrationRules {
     /// Distance from the end of a way at which the robot gets the next one, in metres, so that it seldom stops to look
     /// around.
     pub turn_within_m: f64,
-    /// How far around a robot cameras do not see the ground, beyond its radius, in metres: its shadow, and where it was a
-    /// moment ago.
+    /// Margin around a robot within which cameras may not see the ground, in metres: its shadow, and where it was a moment
+    /// ago.
     pub hidden_m: f64,
-    /// Time for which it explores without calibration if there is no such way, or if cameras do not see its tag where they
-    /// see the ground.
+    /// Delay before the next attempt after no way was found, or no camera saw the robot's tag.
     pub put_off: Duration,
 }
 

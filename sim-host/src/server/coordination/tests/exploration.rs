@@ -70,8 +70,7 @@ fn robots_return_into_view_when_nothing_is_left_to_look_at() {
     let plan = Plan::room(8.0, 4.0);
     let starts = [Point::new(1.0, 1.0), Point::new(1.0, 3.0)];
     let mut floor = exploring(plan, &starts, 1);
-    let seen: Vec<_> = floor.plan.places().filter(|it| middle(*it).x < 4.0).collect();
-    set(&mut floor.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
+    floor.cover(|it| it.x < 4.0);
     let mut farthest = 0.0_f64;
     let mut run = |floor: &mut Floor, seconds| {
         floor.run(seconds, |floor| {
@@ -100,17 +99,12 @@ fn robots_return_into_view_when_nothing_is_left_to_look_at() {
 fn robots_come_into_view_before_their_poses_drift_far() {
     let [(endless, all), (recalled, known)] = [f64::INFINITY, 8.0].map(|blind_m| {
         let mut floor = exploring(rooms(), &[Point::new(1.5, 4.0)], 1);
-        let seen: Vec<_> = floor.plan.places().filter(|it| middle(*it).x < 3.0).collect();
-        set(&mut floor.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
+        floor.cover(|it| it.x < 3.0);
         floor.coordinator.settings.exploration.blind_m = blind_m;
         floor.coordinator.settings.calibration.distance_m = 0.0;
         let (mut left, mut farthest, mut is_recalled) = (0.0, 0.0_f64, false);
-        let (mut looked, mut busy) = (0, floor.now);
-        floor.run(400, |floor| {
-            if floor.now.micros() / 500_000 != looked {
-                looked = floor.now.micros() / 500_000;
-                floor.look_around();
-            }
+        let mut busy = floor.now;
+        floor.run_looking(400, |floor| {
             let body = &floor.bodies[0];
             if floor.is_in_view(body.place) {
                 left = body.driven;
@@ -133,26 +127,21 @@ fn robots_come_into_view_before_their_poses_drift_far() {
     assert!(f64::from(known) > 0.99 * f64::from(all), "all is explored: {known} of {all} cells");
 }
 
-/// Lets a robot explore twelve metres of rooms, of which cameras see what `is_seen` says.
+/// A robot that explores two rows of rooms, 12 m long; cameras see the ground where `is_seen` holds.
 fn calibrating(distance_m: f64, blind_m: f64, is_seen: impl Fn(Point) -> bool) -> Floor {
     let mut floor = exploring(rooms(), &[Point::new(1.0, 4.0)], 1);
     let rules = &mut floor.coordinator.settings.calibration;
     (rules.distance_m, rules.blind_m) = (distance_m, blind_m);
-    let seen: Vec<_> = floor.plan.places().filter(|it| is_seen(middle(*it))).collect();
-    set(&mut floor.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
+    floor.cover(is_seen);
     floor
 }
 
-/// How a robot calibrates its odometry in 400 s: how far it drives for that, how far out of view before, whether it was called
-/// back, and the number of cells that are known at the end.
+/// Runs for 400 s. Returns the distance that the robot drives to calibrate its odometry, the maximum distance that it drives out of
+/// view before, both in metres; whether it was recalled; and the number of known cells at the end.
 fn calibrated(mut floor: Floor) -> (f64, f64, bool, u32) {
-    let (mut way, mut left, mut farthest, mut looked) = (0.0, 0.0, 0.0_f64, 0);
+    let (mut way, mut left, mut farthest) = (0.0, 0.0, 0.0_f64);
     let (mut driven, mut is_recalled) = (0.0, false);
-    floor.run(400, |floor| {
-        if floor.now.micros() / 500_000 != looked {
-            looked = floor.now.micros() / 500_000;
-            floor.look_around();
-        }
+    floor.run_looking(400, |floor| {
         let body = &floor.bodies[0];
         let step = body.driven - core::mem::replace(&mut driven, body.driven);
         let errand = floor.coordinator.errand(id(0));
@@ -182,13 +171,13 @@ fn a_robot_calibrates_its_odometry_in_view_before_it_goes_far() {
         "{way:.1} m to calibrate, before {farthest:.1} and {late:.1} m out of view; {known} of {all} known"
     );
     assert_eq!(none, 0.0);
-    // It has driven some metres in view before.
+    // The rest of the 10 m was driven in view earlier.
     assert!(is_recalled && (5.0..12.0).contains(&way), "{way}");
     assert!(farthest + 8.0 < late, "{farthest}, {late}");
     assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all}");
 }
 
-/// The longest way is 1.1 m.
+/// Cameras see a disc with a diameter of 1.1 m, less than the minimum length of a way.
 #[test]
 fn where_there_is_no_way_in_view_to_calibrate_odometry_robots_explore_all_the_same() {
     let is_seen = |it: Point| (it - Point::new(1.0, 4.0)).norm() < 0.55;
@@ -199,7 +188,7 @@ fn where_there_is_no_way_in_view_to_calibrate_odometry_robots_explore_all_the_sa
     assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all}");
 }
 
-/// Its tag has come off.
+/// The robot has lost its tag.
 #[test]
 fn a_robot_that_cameras_do_not_see_where_they_see_the_ground_explores_on() {
     let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
@@ -212,22 +201,28 @@ fn a_robot_that_cameras_do_not_see_where_they_see_the_ground_explores_on() {
 }
 
 #[test]
-fn a_goal_takes_precedence_over_the_calibration_of_odometry() {
+fn a_goal_interrupts_the_calibration_of_odometry() {
     let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
-    let mut looked = 0;
-    floor.run(200, |floor| {
-        if floor.now.micros() / 500_000 != looked {
-            looked = floor.now.micros() / 500_000;
-            floor.look_around();
-        }
-        matches!(floor.coordinator.errand(id(0)), Some(Errand::Calibrates(_)))
-    });
-    let now = floor.now;
-    assert_eq!(floor.coordinator.goal(id(0), 1.5, 4.0, now), Ok(()));
-    assert_eq!(floor.coordinator.errand(id(0)), Some(Errand::Goal([1.5, 4.0])));
+    let calibrates = |floor: &mut Floor| {
+        let is_its_errand = matches!(floor.coordinator.errand(id(0)), Some(Errand::Calibrates(_)));
+        is_its_errand && floor.is_in_view(floor.bodies[0].place)
+    };
+    assert!(floor.run_looking(200, calibrates));
+    let out_of_view = [6.0, 4.0];
+    floor.coordinator.goal(id(0), out_of_view[0], out_of_view[1], floor.now).unwrap();
+    assert_eq!(floor.coordinator.errand(id(0)), Some(Errand::Goal(out_of_view)));
+    assert!(floor.run_looking(60, |floor| floor.count(Notice::Reached) == 1));
+    assert!(floor.run_looking(100, calibrates), "it goes on with it");
+}
+
+#[test]
+fn a_recalled_robot_that_must_not_explore_any_more_has_nothing_to_do() {
+    let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
+    let is_recalled =
+        |floor: &mut Floor| matches!(floor.coordinator.errand(id(0)), Some(Errand::Recalled(_)));
+    assert!(floor.run_looking(200, is_recalled));
     assert!(floor.coordinator.set_exploring(id(0), false));
-    floor.run(60, |floor| !floor.notices.is_empty());
-    assert_eq!(floor.notices.last().map(|it| it.2), Some(Notice::Reached));
+    floor.run(5, |_| false);
     assert_eq!(floor.coordinator.errand(id(0)), Some(Errand::Idle));
 }
 
@@ -236,13 +231,8 @@ fn a_goal_takes_precedence_over_the_calibration_of_odometry() {
 /// that can be seen, and the floor.
 fn explore(mut floor: Floor) -> (u64, f64, Floor) {
     let robots = floor.bodies.len();
-    let mut looked = 0;
     let mut idle_since = floor.now;
-    floor.run(900, |floor| {
-        if floor.now.micros() / 500_000 != looked {
-            looked = floor.now.micros() / 500_000;
-            floor.look_around();
-        }
+    floor.run_looking(900, |floor| {
         let targets: Vec<_> =
             (0..robots).filter_map(|it| floor.coordinator.target(id(it))).collect();
         for (at, one) in targets.iter().enumerate() {

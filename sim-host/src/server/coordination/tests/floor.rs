@@ -53,7 +53,7 @@ pub(super) struct Floor {
     pub(super) people: Vec<(Point, f64)>,
     pub(super) fused: ServedLayer,
     pub(super) coverage: ServedLayer,
-    /// Whether cameras see robots where they see the ground.
+    /// Whether robots carry tags that cameras detect.
     pub(super) has_tags: bool,
     pub(super) now: Instant,
     pub(super) notices: Vec<(Instant, RobotId, Notice)>,
@@ -150,6 +150,28 @@ impl Floor {
             }
         }
         false
+    }
+
+    /// Like [`Self::run`], with robots that look around twice a second.
+    pub(super) fn run_looking(
+        &mut self,
+        seconds: u64,
+        mut until: impl FnMut(&mut Self) -> bool,
+    ) -> bool {
+        let mut looked = 0;
+        self.run(seconds, |floor| {
+            let half_seconds = floor.now.micros() / 500_000;
+            if half_seconds != core::mem::replace(&mut looked, half_seconds) {
+                floor.look_around();
+            }
+            until(floor)
+        })
+    }
+
+    /// Lets cameras see the ground where `is_seen` holds.
+    pub(super) fn cover(&mut self, is_seen: impl Fn(Point) -> bool) {
+        let seen: Vec<_> = self.plan.places().filter(|it| is_seen(middle(*it))).collect();
+        set(&mut self.coverage, seen.into_iter().map(|it| (it, Cell::Free)));
     }
 
     pub(super) fn count(&self, which: Notice) -> usize {

@@ -265,12 +265,8 @@ fn the_time_of_a_tick() {
         for index in 0..10 {
             floor.coordinator.set_exploring(id(index), true);
         }
-        let (mut ticks, mut looked) = (Vec::new(), 0);
-        floor.run(90, |floor| {
-            if floor.now.micros() / 500_000 != looked {
-                looked = floor.now.micros() / 500_000;
-                floor.look_around();
-            }
+        let mut ticks = Vec::new();
+        floor.run_looking(90, |floor| {
             if let Some(tick) = floor.last_tick.take() {
                 ticks.push(tick);
             }
