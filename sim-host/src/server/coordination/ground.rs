@@ -213,6 +213,13 @@ impl Ground {
         all > 0 && 4 * seen >= 3 * all
     }
 
+    /// Whether a camera sees any cell of a disc.
+    pub(super) fn is_partly_in_view(&self, disc: &Disc) -> bool {
+        let mut is_any = false;
+        self.within(disc, |at| is_any |= self.covered[at]);
+        is_any
+    }
+
     /// Squared distance, in cells, to the nearest wall or cell deep in unknown ground.
     pub(super) fn to_wall(&self, at: usize) -> u32 {
         self.walls[at]

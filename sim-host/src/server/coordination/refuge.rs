@@ -4,26 +4,27 @@ use ubimap_protocol::time::Instant;
 
 use super::{
     coordinator::Coordinator,
+    frontiers::Frontier,
     ground::{Disc, Ground},
+    member::Member,
     odometry_calibration::OdometryCalibration,
 };
 
 impl Coordinator {
     /// Calls robots back into the cameras' view whose poses may have drifted, and lets those that cameras have
-    /// seen again go on. Uncalibrated ones are called back earlier while ground is left to explore.
+    /// seen again go on. Uncalibrated ones are called back earlier while ground far from the view is left to explore.
     pub(super) fn call_back(&mut self, ground: &Ground, now: Instant) {
         let (rules, calibration) = (self.settings.exploration, self.settings.calibration);
-        let (open, taken) = self.frontiers_left();
-        let is_any_left = !open.is_empty() || !taken.is_empty();
+        let is_far_ground_left = self.is_far_ground_left(ground);
         for index in 0..self.members.len() {
             let member = &mut self.members[index];
-            if !is_any_left {
+            if !is_far_ground_left {
                 member.calibration.put_off(now);
             }
             if !member.is_exploring() {
                 continue;
             }
-            let is_wanted = is_any_left && member.calibration.is_wanted(now);
+            let is_wanted = is_far_ground_left && member.calibration.is_wanted(now);
             let blind_m = if is_wanted { calibration.blind_m } else { rules.blind_m };
             let is_adrift = member.is_adrift(blind_m);
             match member.recall {
@@ -49,6 +50,16 @@ impl Coordinator {
                 _ => {}
             }
         }
+    }
+
+    /// Whether a frontier that is left is far from the cameras' view. `false` if no robot has to be calibrated. Cost: 30
+    /// microseconds per frontier.
+    fn is_far_ground_left(&self, ground: &Ground) -> bool {
+        let radius = self.settings.calibration.far_m;
+        let is_far = |it: &Frontier| !ground.is_partly_in_view(&Disc { centre: it.place, radius });
+        let is_done = |it: &Member| it.calibration == OdometryCalibration::Done;
+        let (open, taken) = self.frontiers_left();
+        !self.members.iter().all(is_done) && open.into_iter().chain(taken).any(is_far)
     }
 
     /// Sends robots that find nothing to look at back into the cameras' view, where their poses do not drift and

@@ -441,6 +441,9 @@ pub struct CalibrationRules {
     pub distance_m: f64,
     /// Maximum distance out of view before that, in metres; afterwards [`ExplorationRules::blind_m`] applies.
     pub blind_m: f64,
+    /// Minimum distance from the cameras' view of a frontier for which robots calibrate their odometry, in metres. Closer to it,
+    /// that takes longer than it is worth.
+    pub far_m: f64,
     /// Minimum length of a straight way, in metres: robots learn from ways of a metre and more.
     pub least_m: f64,
     /// Maximum length of a straight way, in metres.
@@ -460,6 +463,7 @@ impl Default for CalibrationRules {
         Self {
             distance_m: 10.0,
             blind_m: 2.0,
+            far_m: 4.0,
             least_m: 1.2,
             most_m: 4.0,
             turn_within_m: 0.5,

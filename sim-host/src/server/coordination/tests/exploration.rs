@@ -177,6 +177,16 @@ fn a_robot_calibrates_its_odometry_in_view_before_it_goes_far() {
     assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all}");
 }
 
+/// Cameras see all but four metres in the middle.
+#[test]
+fn a_robot_that_explores_only_close_to_the_view_does_not_calibrate_its_odometry() {
+    let is_seen = |it: Point| !(4.0..8.0).contains(&it.x);
+    let (way, farthest, is_recalled, _) = calibrated(calibrating(10.0, 2.0, is_seen));
+    println!("{way:.1} m to calibrate, {farthest:.1} m out of view");
+    assert!(farthest > 2.0, "{farthest}");
+    assert!(way == 0.0 && !is_recalled, "{way}");
+}
+
 /// Cameras see a disc with a diameter of 1.1 m, less than the minimum length of a way.
 #[test]
 fn where_there_is_no_way_in_view_to_calibrate_odometry_robots_explore_all_the_same() {
