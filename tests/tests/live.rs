@@ -334,7 +334,7 @@ impl Results {
         );
     }
 
-    /// Checks the bounds; `driven_deg` is that of the heading while driving, RMS in degrees.
+    /// Checks the bounds; `driven_deg` bounds the RMS heading error while driving, in degrees.
     #[track_caller]
     fn check(&self, driven_deg: f64) {
         assert!(self.f1 >= 0.97, "F1 {}", self.f1);

@@ -78,6 +78,11 @@ impl Dispatch {
         self.coordinator.unexplored()
     }
 
+    /// Notes that a robot has booted.
+    pub(super) fn booted(&mut self, robot: RobotId) {
+        self.coordinator.booted(robot);
+    }
+
     /// Passes on an event that a robot reported.
     pub(super) fn event(&mut self, robot: RobotId, code: EventCode, now: Instant) {
         self.coordinator.event(robot, code, now);

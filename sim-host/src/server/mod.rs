@@ -273,8 +273,12 @@ impl Server {
     /// Handles the beginning of a robot's session.
     fn joined(&mut self, port: usize, robot: RobotId, now: Instant) {
         self.events.add_from(port, now, Event::Joined(robot, port));
-        if let Some(session) = self.ports.session_mut(robot) {
-            self.damaged.joined(session, now);
+        let Some(session) = self.ports.session_mut(robot) else { return };
+        self.damaged.joined(session, now);
+        if session.is_of_new_life()
+            && let Some(dispatch) = &mut self.dispatch
+        {
+            dispatch.booted(robot);
         }
     }
 

@@ -27,7 +27,7 @@ impl Coordinator {
         let Some(index) = (0..self.members.len()).find(begins) else { return };
         let end = self.far_end(ground, index);
         let member = &mut self.members[index];
-        let Some(end) = end else { return member.calibration.put_off(now + rules.put_off) };
+        let Some(end) = end else { return member.fail_calibration(&self.settings, now) };
         member.refuge = Some(end);
         member.set_out(now);
         self.reservations.drop_ahead(index);

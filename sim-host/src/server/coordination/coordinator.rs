@@ -121,6 +121,13 @@ impl Coordinator {
         self.reservations.drop_ahead(index);
     }
 
+    /// Notes that a robot has booted, and forgotten the calibration of its odometry.
+    pub fn booted(&mut self, robot: RobotId) {
+        if let Ok(index) = self.index(robot) {
+            self.members[index].lose_calibration();
+        }
+    }
+
     /// Handles an event that a robot reported.
     pub fn event(&mut self, robot: RobotId, code: EventCode, now: Instant) {
         let Ok(index) = self.index(robot) else { return };

@@ -215,9 +215,9 @@ impl Ground {
 
     /// Whether a camera sees any cell of a disc.
     pub(super) fn is_partly_in_view(&self, disc: &Disc) -> bool {
-        let mut is_any = false;
-        self.within(disc, |at| is_any |= self.covered[at]);
-        is_any
+        let mut is_seen = false;
+        self.within(disc, |at| is_seen |= self.covered[at]);
+        is_seen
     }
 
     /// Squared distance, in cells, to the nearest wall or cell deep in unknown ground.

@@ -8,7 +8,7 @@ use ubimap_protocol::{
 use super::{
     ground::Point,
     odometry_calibration::OdometryCalibration,
-    settings::{EscalationRules, FollowingRules},
+    settings::{EscalationRules, FollowingRules, Settings},
     situation::Whereabouts,
     target::{Target, Tried},
 };
@@ -32,6 +32,8 @@ pub(super) struct Member {
     /// little.
     pub(super) seen_m: f64,
     pub(super) calibration: OdometryCalibration,
+    /// How often in a row it could not be calibrated.
+    uncalibrated: u32,
     /// Distance that the robot has driven since cameras last saw it, in metres.
     driven_m: f64,
     /// When it may next be called back into view for that; `None` while it is called back.
@@ -87,6 +89,7 @@ impl Member {
             refuge: None,
             seen_m: 0.0,
             calibration: OdometryCalibration::Missing(Instant(0)),
+            uncalibrated: 0,
             driven_m: 0.0,
             recall: Some(Instant(0)),
             idle_since: None,
@@ -217,6 +220,21 @@ impl Member {
     pub(super) fn cancel_recall(&mut self) {
         self.recall = Some(Instant(0));
         self.calibration.put_off(Instant(0));
+    }
+
+    /// Cancels a calibration that is due and can't be done now. The next attempt comes later each time.
+    pub(super) fn fail_calibration(&mut self, settings: &Settings, now: Instant) {
+        self.uncalibrated = self.uncalibrated.saturating_add(1);
+        let put_off = settings.escalation.longer(settings.calibration.put_off, self.uncalibrated);
+        self.calibration.put_off(now + put_off);
+    }
+
+    /// Notes that the odometry is no longer calibrated.
+    pub(super) fn lose_calibration(&mut self) {
+        (self.seen_m, self.uncalibrated) = (0.0, 0);
+        if !self.calibration.is_due() {
+            self.calibration = OdometryCalibration::Missing(Instant(0));
+        }
     }
 
     /// Prepares for a new destination.

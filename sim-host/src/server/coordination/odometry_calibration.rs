@@ -14,13 +14,9 @@ pub(super) enum OdometryCalibration {
 }
 
 impl OdometryCalibration {
-    /// Whether the robot may be recalled for it, or is being calibrated.
+    /// Whether the robot may be recalled for it.
     pub(super) fn is_wanted(self, now: Instant) -> bool {
-        match self {
-            Self::Missing(from) => from <= now,
-            Self::Due => true,
-            Self::Done => false,
-        }
+        matches!(self, Self::Missing(from) if from <= now)
     }
 
     pub(super) fn is_due(self) -> bool {

@@ -105,7 +105,7 @@ impl<'a> Terrain<'a> {
         self.weights[at] != SHUT && !self.is_narrow(at)
     }
 
-    /// Whether the robot may stand in a cell, and nobody and nothing movable makes it dear.
+    /// Whether the robot may stand in a cell that is known, and not close to people, standing robots or movable things.
     pub(super) fn is_clear(&self, at: usize) -> bool {
         self.is_open(at) && self.weights[at] <= self.clear
     }

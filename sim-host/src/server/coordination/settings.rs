@@ -211,7 +211,7 @@ pub struct EscalationRules {
 }
 
 impl EscalationRules {
-    /// A time that has grown with the number of times that a robot was blocked in a row.
+    /// A time that has grown with the number of failures in a row.
     pub(super) fn longer(&self, time: Duration, times: u32) -> Duration {
         let doublings = times.saturating_sub(1).min(self.doublings).min(16);
         Duration::from_micros(time.micros().saturating_mul(1 << doublings))
@@ -400,8 +400,8 @@ pub struct ExplorationRules {
     pub shut_in_for: Duration,
     /// Time for which a frontier that was given up for lack of a way is not tried again.
     pub put_off: Duration,
-    /// Distance in metres that an exploring robot with calibrated odometry may drive out of the cameras' view before it is
-    /// called back there, after the look that it is on its way to: its pose drifts, and so does what it draws.
+    /// Distance driven out of the cameras' view, in metres, after which an exploring robot is called back there, when it has
+    /// looked at its target: its pose drifts, and so does what it draws.
     pub blind_m: f64,
     /// How far within the view such a place is, in metres: the robot's pose may be off.
     pub within_m: f64,
@@ -433,16 +433,16 @@ impl Default for ExplorationRules {
     }
 }
 
-/// How exploring robots calibrate their odometry: by driving to and fro where cameras see them, once after each start of the
-/// server.
+/// How exploring robots calibrate their odometry: by driving to and fro where cameras see them, once after each boot, and
+/// after each start of the server.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CalibrationRules {
     /// Distance driven in view after which odometry counts as calibrated, in metres.
     pub distance_m: f64,
-    /// Maximum distance out of view before that, in metres; afterwards [`ExplorationRules::blind_m`] applies.
+    /// The limit for robots without calibration in place of [`ExplorationRules::blind_m`], while there is a frontier for which
+    /// calibration is worth its time.
     pub blind_m: f64,
-    /// Minimum distance from the cameras' view of a frontier for which robots calibrate their odometry, in metres. Closer to it,
-    /// that takes longer than it is worth.
+    /// Distance between the cameras' view and such a frontier, in metres in a straight line, even through walls.
     pub far_m: f64,
     /// Minimum length of a straight way, in metres: robots learn from ways of a metre and more.
     pub least_m: f64,
@@ -454,7 +454,8 @@ pub struct CalibrationRules {
     /// Margin around a robot within which cameras may not see the ground, in metres: its shadow, and where it was a moment
     /// ago.
     pub hidden_m: f64,
-    /// Delay before the next attempt after no way was found, or no camera saw the robot's tag.
+    /// Delay before the next attempt after no way was found, or no camera saw the robot's tag. It doubles each time, as in
+    /// [`EscalationRules`].
     pub put_off: Duration,
 }
 

@@ -226,6 +226,18 @@ fn a_goal_interrupts_the_calibration_of_odometry() {
 }
 
 #[test]
+fn a_robot_that_has_booted_calibrates_its_odometry_again() {
+    let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
+    let calibrates =
+        |floor: &mut Floor| matches!(floor.coordinator.errand(id(0)), Some(Errand::Calibrates(_)));
+    assert!(floor.run_looking(200, calibrates));
+    assert!(floor.run_looking(100, |floor| !calibrates(floor)));
+    assert!(!floor.run_looking(60, calibrates), "it is calibrated");
+    floor.coordinator.booted(id(0));
+    assert!(floor.run_looking(60, calibrates));
+}
+
+#[test]
 fn a_recalled_robot_that_must_not_explore_any_more_has_nothing_to_do() {
     let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
     let is_recalled =
