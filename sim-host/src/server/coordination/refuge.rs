@@ -15,17 +15,20 @@ impl Coordinator {
     /// seen again go on. Uncalibrated ones are called back earlier while ground far from the view is left to explore.
     pub(super) fn call_back(&mut self, ground: &Ground, now: Instant) {
         let (rules, calibration) = (self.settings.exploration, self.settings.calibration);
-        let (is_ground_left, is_far_ground_left) = self.is_ground_left(ground);
+        let (open, taken) = self.frontiers_left();
+        let left = [open, taken].concat();
+        let is_any_left = !left.is_empty();
+        let is_worthwhile = self.is_calibration_worthwhile(ground, &left);
         for index in 0..self.members.len() {
             let member = &mut self.members[index];
-            if !is_ground_left {
+            if !is_any_left {
                 member.calibration.put_off(now);
             }
             if !member.is_exploring() {
                 continue;
             }
-            let is_wanted = member.calibration.is_due()
-                || is_far_ground_left && member.calibration.is_wanted(now);
+            let is_wanted =
+                member.calibration.is_due() || is_worthwhile && member.calibration.is_wanted(now);
             let blind_m = if is_wanted { calibration.blind_m } else { rules.blind_m };
             let is_adrift = member.is_adrift(blind_m);
             match member.recall {
@@ -53,19 +56,13 @@ impl Coordinator {
         }
     }
 
-    /// Whether ground is left to explore, and whether some of it is so far from the cameras' view that a robot should be
-    /// calibrated for it. Cost: up to 20,000 cells of 5 cm per frontier, while a robot that explores is not calibrated.
-    fn is_ground_left(&self, ground: &Ground) -> (bool, bool) {
-        let (open, taken) = self.frontiers_left();
-        let mut left = open.into_iter().chain(taken).peekable();
-        let is_any_left = left.peek().is_some();
+    /// Whether calibration is worth its time: a robot that explores is not calibrated, and a frontier that is left is far from
+    /// the cameras' view. Cost: up to 20,000 cells of 5 cm per frontier.
+    fn is_calibration_worthwhile(&self, ground: &Ground, left: &[&Frontier]) -> bool {
         let is_calibrated = |it: &Member| it.calibration == OdometryCalibration::Done;
-        if self.members.iter().all(|it| !it.explores || is_calibrated(it)) {
-            return (is_any_left, false);
-        }
         let radius = self.settings.calibration.far_m;
-        let is_far = |it: &Frontier| !ground.is_partly_in_view(&Disc { centre: it.place, radius });
-        (is_any_left, left.any(is_far))
+        let is_far = |it: &&Frontier| !ground.is_partly_in_view(&Disc { centre: it.place, radius });
+        self.members.iter().any(|it| it.explores && !is_calibrated(it)) && left.iter().any(is_far)
     }
 
     /// Sends robots that find nothing to look at back into the cameras' view, where their poses do not drift and

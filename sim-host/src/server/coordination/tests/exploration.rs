@@ -6,7 +6,10 @@ use super::{
     floor::{Floor, RADIUS_M, id},
     plan::{Plan, middle, set},
 };
-use crate::server::coordination::{Errand, Notice, Unexplored, WhyUnexplored, ground::Point};
+use crate::server::coordination::{
+    Errand, Notice, Unexplored, WhyUnexplored, ground::Point, member::Member,
+    odometry_calibration::OdometryCalibration,
+};
 
 /// Corridors and rooms, 12 m by 8 m.
 fn maze() -> Plan {
@@ -210,31 +213,48 @@ fn a_robot_that_cameras_do_not_see_where_they_see_the_ground_explores_on() {
     assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all}");
 }
 
+/// Whether the robot drives to and fro to calibrate its odometry.
+fn calibrates(floor: &mut Floor) -> bool {
+    matches!(floor.coordinator.errand(id(0)), Some(Errand::Calibrates(_)))
+}
+
 #[test]
 fn a_goal_interrupts_the_calibration_of_odometry() {
     let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
-    let calibrates = |floor: &mut Floor| {
-        let is_its_errand = matches!(floor.coordinator.errand(id(0)), Some(Errand::Calibrates(_)));
-        is_its_errand && floor.is_in_view(floor.bodies[0].place)
-    };
-    assert!(floor.run_looking(200, calibrates));
+    let in_view = |floor: &mut Floor| calibrates(floor) && floor.is_in_view(floor.bodies[0].place);
+    assert!(floor.run_looking(200, in_view));
     let out_of_view = [6.0, 4.0];
     floor.coordinator.goal(id(0), out_of_view[0], out_of_view[1], floor.now).unwrap();
     assert_eq!(floor.coordinator.errand(id(0)), Some(Errand::Goal(out_of_view)));
     assert!(floor.run_looking(60, |floor| floor.count(Notice::Reached) == 1));
-    assert!(floor.run_looking(100, calibrates), "it goes on with it");
+    assert!(floor.run_looking(100, in_view), "it goes on with it");
 }
 
 #[test]
 fn a_robot_that_has_booted_calibrates_its_odometry_again() {
     let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
-    let calibrates =
-        |floor: &mut Floor| matches!(floor.coordinator.errand(id(0)), Some(Errand::Calibrates(_)));
     assert!(floor.run_looking(200, calibrates));
     assert!(floor.run_looking(100, |floor| !calibrates(floor)));
     assert!(!floor.run_looking(60, calibrates), "it is calibrated");
     floor.coordinator.booted(id(0));
     assert!(floor.run_looking(60, calibrates));
+}
+
+#[test]
+fn a_calibration_that_fails_is_tried_again_later_each_time() {
+    let mut floor = calibrating(10.0, 2.0, |it| it.x < 3.0);
+    floor.run(1, |_| false);
+    let (now, settings) = (floor.now, floor.coordinator.settings);
+    let member = &mut floor.coordinator.members[0];
+    let minutes = |member: &mut Member| {
+        member.calibration = OdometryCalibration::Due;
+        member.fail_calibration(&settings, now);
+        let OdometryCalibration::Missing(until) = member.calibration else { panic!() };
+        until.since(now).micros() / 60_000_000
+    };
+    assert_eq!([(); 6].map(|()| minutes(member)), [2, 4, 8, 16, 32, 32]);
+    member.lose_calibration();
+    assert_eq!(minutes(member), 2);
 }
 
 #[test]
