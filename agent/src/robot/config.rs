@@ -67,7 +67,7 @@ pub struct Config<D = NoDrive> {
     /// How long changes of the map are collected before they are sent to the server.
     pub hold: Duration,
     /// Minimum time between two distance vectors while the robot moves. At standstill it sends at
-    /// most one per minute, and without a recent fix one per second.
+    /// most one per minute; without a recent fix one per second, and more while it turns.
     pub vector_interval: Duration,
     /// The minimum epoch of new tiles.
     pub first_epoch: Epoch,

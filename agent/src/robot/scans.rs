@@ -159,7 +159,7 @@ impl Mapper<'_> {
             Selected::Nothing
         };
         if !is_sure || matches!(selected, Selected::Moved(_)) {
-            self.outbox.vectors.move_on();
+            self.outbox.vectors.move_on(scan.pose.heading);
         }
         let is_due = self.outbox.vectors.is_due(scan.taken, scan.is_blind);
         let vector_time = scan.server_moment.filter(|_| link.is_connected() && is_due);

@@ -3,13 +3,16 @@
 use ubimap_protocol::{
     message::{DistanceVector, ToServer, Writer},
     time::{Duration, Instant},
+    units::Angle,
 };
 
-use crate::timing::{BLIND_VECTOR_INTERVAL, STANDING_VECTOR_INTERVAL};
+use crate::timing::{BLIND_VECTOR_INTERVAL, STANDING_VECTOR_INTERVAL, TURNING_VECTOR_INTERVAL};
 
 /// Number of vectors after the start of a session that a moving robot sends at the rate of a blind
 /// one: the server estimates the robot's constant errors from them.
 const FIRST: u8 = 24;
+/// Angle since the last vector beyond which the robot has turned: 23 degrees in binary angle units.
+const TURN: u16 = 4_172;
 
 /// Timing of the next distance vector, and the one waiting to be sent.
 #[derive(Debug)]
@@ -20,6 +23,9 @@ pub(crate) struct DistanceVectors {
     /// Whether the robot has moved since the last vector. Where it comes to rest is as uncertain as its way,
     /// and it may stay there for long.
     moved: bool,
+    /// The heading of the last vector, and whether the robot has turned since.
+    heading: Angle,
+    turned: bool,
     /// Number of initial vectors still to be sent.
     first: u8,
     waiting: Option<DistanceVector>,
@@ -28,7 +34,15 @@ pub(crate) struct DistanceVectors {
 impl DistanceVectors {
     /// `interval` is the usual minimum time between two vectors of a moving robot.
     pub(crate) fn new(interval: Duration) -> Self {
-        Self { interval, last: Instant(0), moved: false, first: FIRST, waiting: None }
+        Self {
+            interval,
+            last: Instant(0),
+            moved: false,
+            heading: Angle(0),
+            turned: false,
+            first: FIRST,
+            waiting: None,
+        }
     }
 
     /// Starts a session: the server has no vectors of this robot yet.
@@ -36,9 +50,10 @@ impl DistanceVectors {
         (self.moved, self.first, self.waiting) = (false, FIRST, None);
     }
 
-    /// Notes that the robot has moved.
-    pub(crate) fn move_on(&mut self) {
+    /// Notes that the robot has moved, and its heading.
+    pub(crate) fn move_on(&mut self, heading: Angle) {
         self.moved = true;
+        self.turned = heading.distance(self.heading) > TURN;
     }
 
     /// Whether a vector of a scan taken at `taken` (robot's clock) is due. `blind` says that no camera sees
@@ -46,6 +61,7 @@ impl DistanceVectors {
     pub(crate) fn is_due(&self, taken: Instant, blind: bool) -> bool {
         let wait = match (self.moved, blind) {
             (false, _) => self.interval.max(STANDING_VECTOR_INTERVAL),
+            (true, true) if self.turned => self.interval.min(TURNING_VECTOR_INTERVAL),
             (true, _) if blind || self.first > 0 => self.interval.min(BLIND_VECTOR_INTERVAL),
             (true, _) => self.interval,
         };
@@ -56,7 +72,10 @@ impl DistanceVectors {
     /// been sent yet.
     pub(crate) fn take(&mut self, taken: Instant, vector: Option<DistanceVector>) {
         self.last = taken;
-        self.moved = false;
+        (self.moved, self.turned) = (false, false);
+        if let Some(vector) = &vector {
+            self.heading = vector.pose.heading;
+        }
         self.first = self.first.saturating_sub(1);
         self.waiting = vector;
     }
@@ -71,7 +90,7 @@ impl DistanceVectors {
 mod tests {
     use super::*;
     use std::{vec, vec::Vec};
-    use ubimap_protocol::units::{Angle, Millimetres, Pose};
+    use ubimap_protocol::units::{Millimetres, Pose};
 
     #[test]
     fn the_longest_vector_fits_its_room_and_waits_for_it() {
@@ -110,7 +129,7 @@ mod tests {
         assert!(vectors.is_due(after(0), false));
         for _ in 0..FIRST {
             vectors.take(after(0), None);
-            vectors.move_on();
+            vectors.move_on(Angle(0));
             assert_eq!(vectors.is_due(after(1), false), vectors.first > 0);
         }
         for (seconds, moves, blind) in
@@ -118,7 +137,7 @@ mod tests {
         {
             vectors.take(after(0), None);
             if moves {
-                vectors.move_on();
+                vectors.move_on(Angle(0));
             }
             let due = |seconds| vectors.is_due(after(seconds), blind);
             assert!(!due(seconds - 1) && due(seconds), "{seconds} {moves} {blind}");
@@ -128,12 +147,37 @@ mod tests {
     }
 
     #[test]
+    fn a_blind_robot_sends_more_vectors_while_it_turns() {
+        let mut vectors = DistanceVectors::new(Duration::from_secs(5));
+        let seen = |degrees| DistanceVector {
+            time: Instant(0),
+            pose: Pose { heading: Angle::from_degrees(degrees), ..Pose::default() },
+            first: Angle(0),
+            step: 1,
+            distances: [7].into_iter().collect(),
+            odometry: None,
+        };
+        (0..FIRST).for_each(|_| vectors.take(Instant(0), None));
+        for (from, to, blind, millis) in [
+            (170.0, -165.0, true, 400),
+            (-165.0, 170.0, true, 400),
+            (170.0, -169.0, true, 1_000),
+            (170.0, -165.0, false, 5_000),
+        ] {
+            vectors.take(Instant(9), Some(seen(from)));
+            vectors.move_on(Angle::from_degrees(to));
+            let due = |millis| vectors.is_due(Instant(9) + Duration::from_millis(millis), blind);
+            assert!(!due(millis - 1) && due(millis), "{from} {to} {blind}");
+        }
+    }
+
+    #[test]
     fn where_a_robot_comes_to_rest_is_told_once() {
         let mut vectors = DistanceVectors::new(Duration::from_secs(5));
         let sent = |second: &u64| {
             let taken = Instant(second * 1_000_000);
             if (3..8).contains(second) {
-                vectors.move_on();
+                vectors.move_on(Angle(0));
             }
             let is_due = vectors.is_due(taken, true);
             if is_due {
@@ -141,7 +185,7 @@ mod tests {
             }
             // It moves on a little after the last vector.
             if *second == 7 {
-                vectors.move_on();
+                vectors.move_on(Angle(0));
             }
             is_due
         };
