@@ -62,7 +62,10 @@ pub fn run(options: &RecordOptions) -> Result<String, RunError> {
     let mut counts = vec![0_u64; named.len()];
     let end = options.duration.map(|duration| Instant(0) + duration);
     while !interruption::is_requested() && end.is_none_or(|end| clock.now() < end) {
-        if let Some(Arrived { frame, at }) = cameras.take_within(WAIT) {
+        // Frames that were captured before the start all have time zero, and would replace each other.
+        if let Some(Arrived { frame, at }) = cameras.take_within(WAIT)
+            && frame.captured > Instant(0)
+        {
             recorder.write(&frame, at)?;
             counts[frame.camera] += 1;
         }
