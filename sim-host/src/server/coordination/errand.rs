@@ -13,6 +13,8 @@ pub enum Errand {
     Idle,
     /// It may explore, and no ground is left that it could look at now.
     Waits,
+    /// It may explore, and has no way to any of the ground that is left.
+    CutOff,
     /// It may explore, finds nothing to look at, and returns into the cameras' view, to that place.
     Returns([f64; 2]),
     /// It has driven out of the cameras' view, where its pose drifts, and returns into view at that place.
@@ -61,6 +63,7 @@ impl Coordinator {
                 Errand::Calibrates(place(member.refuge.unwrap_or(here)))
             }
             (None, None) if member.refuge.is_some() => Errand::Returns(member.refuge.map(place)?),
+            (None, None) if member.shut_in_since.is_some() => Errand::CutOff,
             (None, None) if member.explores => Errand::Waits,
             (None, None) => Errand::Idle,
         })
@@ -72,6 +75,7 @@ impl fmt::Display for Errand {
         match self {
             Self::Idle => write!(f, "has nothing to do"),
             Self::Waits => write!(f, "explores; finds nothing to look at now"),
+            Self::CutOff => write!(f, "explores; has no way to what is left"),
             Self::Goal([x, y]) => write!(f, "drives to {x:.2} m, {y:.2} m"),
             Self::NoWay([x, y]) => write!(f, "has no way to {x:.2} m, {y:.2} m"),
             Self::Looks([x, y]) => write!(f, "explores: looks at {x:.2} m, {y:.2} m"),

@@ -9,6 +9,7 @@ use super::{
     frontiers::{Frontier, frontiers},
     ground::{Disc, Ground},
     member::Member,
+    situation::Notice,
     target::{Target, Tried},
 };
 
@@ -76,11 +77,17 @@ impl Coordinator {
         if given.is_empty() {
             given.extend(self.second_look(ground, &left, &idle, &shut_in, now));
         }
+        let no_room: Vec<usize> =
+            shut_in.iter().copied().filter(|&index| self.has_no_room(ground, index, now)).collect();
         for (index, member) in self.members.iter_mut().enumerate() {
             let since = member.shut_in_since.unwrap_or(now);
             member.shut_in_since = shut_in.contains(&index).then_some(since);
             if idle.contains(&index) && !shut_in.contains(&index) {
                 member.no_way_out.clear();
+                member.has_no_room = false;
+            }
+            if no_room.contains(&index) && !core::mem::replace(&mut member.has_no_room, true) {
+                self.notices.push_back((member.id, Notice::NoRoom));
             }
         }
         for (index, target) in given {

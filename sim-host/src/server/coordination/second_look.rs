@@ -31,6 +31,13 @@ impl Coordinator {
         is_long_so && member.no_way_out.len() < rules.most_looks
     }
 
+    /// Whether a robot has been shut in for so long that it must be told, and gets nowhere.
+    pub(super) fn has_no_room(&self, ground: &Ground, index: usize, now: Instant) -> bool {
+        let since = self.members[index].shut_in_since;
+        since.is_some_and(|it| now.since(it) >= self.settings.exploration.no_room_for)
+            && self.approach(ground, index, &[]).is_stuck()
+    }
+
     /// Of these robots and the places that they can reach, the pair with the least cost of driving there plus straight
     /// distance to a frontier.
     fn nearest_look(

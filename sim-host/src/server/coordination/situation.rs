@@ -83,6 +83,8 @@ pub enum Notice {
     Blocked,
     /// The robot was blocked so often that its goal is given up.
     GaveUp,
+    /// The robot explores, and gets nowhere from where it stands. Told once until it does.
+    NoRoom,
 }
 
 impl fmt::Display for Notice {
@@ -95,6 +97,10 @@ impl fmt::Display for Notice {
             Self::GaveUp => write!(
                 f,
                 "was blocked again and again, and has given up its goal; clear its way and send it anew"
+            ),
+            Self::NoRoom => write!(
+                f,
+                "explores, and has no room to drive anywhere; clear its way, or carry it elsewhere"
             ),
         }
     }
