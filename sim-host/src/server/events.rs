@@ -92,6 +92,7 @@ impl Event {
             Self::Joined(RobotId(0), _) => log::Level::Warn,
             Self::Joined(..) => log::Level::Info,
             Self::Reported(_, event) if is_routine(event) => log::Level::Info,
+            Self::Drive(_, Notice::ShutIn) => log::Level::Warn,
             Self::Drive(..) | Self::Dropped(..) | Self::Unread(..) => log::Level::Debug,
             Self::LeftOut { kind: EventKind::Dropped | EventKind::Unread, .. } => log::Level::Debug,
             _ => log::Level::Warn,

@@ -51,26 +51,15 @@ impl Approach<'_> {
             let cost_m = ways.as_ref()?.metres(at)?;
             Some(Viewpoint { place: self.ground.place(at), cost_m })
         };
+        let is_afresh = |view: &Viewpoint| (view.place - self.from).norm() >= self.rules.afresh_m;
         let places = (0..self.ground.len()).filter(|&at| !self.in_the_way[at]).filter_map(view);
         let places: Vec<Viewpoint> =
-            places.filter(|view| self.is_afresh(view.place) && self.is_untried(view)).collect();
+            places.filter(|view| is_afresh(view) && self.is_untried(view)).collect();
         let nearest = |frontier: &&Frontier| {
             let away = |view: &Viewpoint| (view.place - frontier.place).norm();
             places.iter().copied().min_by(|a, b| away(a).total_cmp(&away(b)))
         };
         frontiers.iter().map(nearest).collect()
-    }
-
-    /// Whether the robot gets nowhere from where it is. Cost: one search.
-    pub(super) fn is_stuck(&self) -> bool {
-        let ways = self.terrain.everywhere(self.from);
-        let gets_to = |at| ways.as_ref().is_some_and(|ways| ways.metres(at).is_some());
-        !(0..self.ground.len()).any(|at| gets_to(at) && self.is_afresh(self.ground.place(at)))
-    }
-
-    /// Whether the robot sees something different from there.
-    fn is_afresh(&self, place: Point) -> bool {
-        (place - self.from).norm() >= self.rules.afresh_m
     }
 
     fn is_untried(&self, view: &Viewpoint) -> bool {

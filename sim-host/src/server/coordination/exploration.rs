@@ -77,17 +77,17 @@ impl Coordinator {
         if given.is_empty() {
             given.extend(self.second_look(ground, &left, &idle, &shut_in, now));
         }
-        let no_room: Vec<usize> =
-            shut_in.iter().copied().filter(|&index| self.has_no_room(ground, index, now)).collect();
+        let finds_no_way_out = |index: &usize| self.finds_no_way_out(ground, &left, *index, now);
+        let given_up: Vec<usize> = shut_in.iter().copied().filter(finds_no_way_out).collect();
         for (index, member) in self.members.iter_mut().enumerate() {
             let since = member.shut_in_since.unwrap_or(now);
             member.shut_in_since = shut_in.contains(&index).then_some(since);
             if idle.contains(&index) && !shut_in.contains(&index) {
                 member.no_way_out.clear();
-                member.has_no_room = false;
+                member.is_given_up = false;
             }
-            if no_room.contains(&index) && !core::mem::replace(&mut member.has_no_room, true) {
-                self.notices.push_back((member.id, Notice::NoRoom));
+            if given_up.contains(&index) && !core::mem::replace(&mut member.is_given_up, true) {
+                self.notices.push_back((member.id, Notice::ShutIn));
             }
         }
         for (index, target) in given {

@@ -42,8 +42,8 @@ pub(super) struct Member {
     pub(super) idle_since: Option<Instant>,
     /// Since when it has been idle, and could reach no viewpoint of a frontier that is left.
     pub(super) shut_in_since: Option<Instant>,
-    /// Whether [`Notice::NoRoom`](super::situation::Notice::NoRoom) was issued since it last had some.
-    pub(super) has_no_room: bool,
+    /// Whether [`Notice::ShutIn`](super::situation::Notice::ShutIn) was issued since it was last out.
+    pub(super) is_given_up: bool,
     /// Where it looked in vain for a way out of the place where it is.
     pub(super) no_way_out: Vec<Tried>,
     /// When the robot was told to stop in order to get another route; `None` if it was not.
@@ -96,7 +96,7 @@ impl Member {
             recall: Some(Instant(0)),
             idle_since: None,
             shut_in_since: None,
-            has_no_room: false,
+            is_given_up: false,
             no_way_out: Vec::new(),
             halted: None,
             trouble: None,

@@ -2,7 +2,12 @@
 
 use ubimap_protocol::time::Instant;
 
-use super::{coordinator::Coordinator, frontiers::Frontier, ground::Ground, target::Target};
+use super::{
+    coordinator::Coordinator,
+    frontiers::Frontier,
+    ground::{Disc, Ground},
+    target::Target,
+};
 
 impl Coordinator {
     /// The robot to look again, and its target: one of the idle ones at once if no robot has anything to look at, and
@@ -16,11 +21,12 @@ impl Coordinator {
         now: Instant,
     ) -> Option<(usize, Target)> {
         if self.members.iter().all(|member| member.target.is_none()) {
-            return self.nearest_look(ground, left, idle);
+            return self.nearest_look(ground, left, idle, &self.failed_views());
         }
         let looks_for_way = |index: &usize| self.looks_for_way(*index, now);
         let shut_in: Vec<usize> = shut_in.iter().copied().filter(looks_for_way).collect();
-        let (index, target) = self.nearest_look(ground, left, &shut_in)?;
+        // Where a frontier could not be seen, what blocks the way to it may be.
+        let (index, target) = self.nearest_look(ground, left, &shut_in, &[])?;
         Some((index, target.shut_in()))
     }
 
@@ -31,25 +37,32 @@ impl Coordinator {
         is_long_so && member.no_way_out.len() < rules.most_looks
     }
 
-    /// Whether a robot has been shut in for so long that it must be told, and gets nowhere.
-    pub(super) fn has_no_room(&self, ground: &Ground, index: usize, now: Instant) -> bool {
+    /// Whether a robot has been shut in for so long that it must be told, and has nowhere to look for a way out.
+    pub(super) fn finds_no_way_out(
+        &self,
+        ground: &Ground,
+        left: &[&Frontier],
+        index: usize,
+        now: Instant,
+    ) -> bool {
         let since = self.members[index].shut_in_since;
-        since.is_some_and(|it| now.since(it) >= self.settings.exploration.no_room_for)
-            && self.approach(ground, index, &[]).is_stuck()
+        since.is_some_and(|it| now.since(it) >= self.settings.exploration.no_way_out_for)
+            && self.nearest_look(ground, left, &[index], &[]).is_none()
     }
 
     /// Of these robots and the places that they can reach, the pair with the least cost of driving there plus straight
-    /// distance to a frontier.
+    /// distance to a frontier. Leaves out where a robot has looked for a way out in vain, and `failed` views.
     fn nearest_look(
         &self,
         ground: &Ground,
         left: &[&Frontier],
         robots: &[usize],
+        failed: &[Disc],
     ) -> Option<(usize, Target)> {
         let tried_m = self.settings.exploration.tried_m;
         let looks = robots.iter().flat_map(|&index| {
             let own = self.members[index].no_way_out.iter().map(|tried| tried.views(tried_m));
-            let tried: Vec<_> = self.failed_views().into_iter().chain(own).collect();
+            let tried: Vec<Disc> = failed.iter().copied().chain(own).collect();
             let views = self.approach(ground, index, &tried).before(left);
             left.iter().zip(views).filter_map(move |(frontier, view)| {
                 let view = view?;

@@ -398,8 +398,8 @@ pub struct ExplorationRules {
     /// have stood in its way. It gives up after `most_looks` within `tried_for`; a
     /// look that others prevented counts for `put_off`.
     pub shut_in_for: Duration,
-    /// Time after which it is told that such a robot has no room to look for a way out.
-    pub no_room_for: Duration,
+    /// Time after which it is told that such a robot has nowhere to look.
+    pub no_way_out_for: Duration,
     /// Time for which a frontier that was given up for lack of a way is not tried again.
     pub put_off: Duration,
     /// Distance driven out of the cameras' view, in metres, after which an exploring robot is called back there, when it has
@@ -426,7 +426,7 @@ impl Default for ExplorationRules {
             most_looks: 3,
             patience: Duration::from_secs(2),
             shut_in_for: Duration::from_secs(20),
-            no_room_for: Duration::from_secs(60),
+            no_way_out_for: Duration::from_secs(60),
             put_off: Duration::from_secs(20),
             blind_m: 40.0,
             within_m: 0.3,

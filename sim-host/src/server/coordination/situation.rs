@@ -83,8 +83,8 @@ pub enum Notice {
     Blocked,
     /// The robot was blocked so often that its goal is given up.
     GaveUp,
-    /// The robot explores, and gets nowhere from where it stands. Told once until it does.
-    NoRoom,
+    /// The robot explores, is shut in, and has nowhere to look for a way out. Told once until it is out.
+    ShutIn,
 }
 
 impl fmt::Display for Notice {
@@ -98,10 +98,9 @@ impl fmt::Display for Notice {
                 f,
                 "was blocked again and again, and has given up its goal; clear its way and send it anew"
             ),
-            Self::NoRoom => write!(
-                f,
-                "explores, and has no room to drive anywhere; clear its way, or carry it elsewhere"
-            ),
+            Self::ShutIn => {
+                write!(f, "is shut in, and finds no way out; clear its way, or carry it elsewhere")
+            }
         }
     }
 }

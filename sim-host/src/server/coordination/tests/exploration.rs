@@ -466,7 +466,7 @@ fn a_robot_that_finds_no_way_out_keeps_still_and_leaves_the_frontiers_to_others(
         false
     });
     assert_eq!(looks, 3);
-    assert_eq!(floor.count(Notice::NoRoom), 0);
+    assert_eq!(floor.count(Notice::ShutIn), 0);
     assert_eq!(floor.coordinator.errand(id(0)), Some(Errand::Waits));
     let (known, all) = known(&floor);
     assert!(f64::from(known) > 0.99 * f64::from(all), "{known} of {all} cells");
@@ -503,7 +503,7 @@ fn a_person_in_the_only_door_does_not_cost_the_target() {
 
 /// Its own drawing of the walls has left a robot so little room that it can look nowhere else for a way out.
 #[test]
-fn a_robot_that_has_no_room_to_drive_is_told_once() {
+fn a_robot_that_has_nowhere_to_look_for_a_way_out_is_told_once() {
     let starts = [Point::new(1.025, 2.025), Point::new(6.0, 2.0)];
     let mut floor = Floor::new(Plan::room(150.0, 4.0), &starts, 1, |place| place.x > 8.0);
     let side = |at: i32| [(at, -8), (at, 8), (-8, at), (8, at)];
@@ -513,12 +513,12 @@ fn a_robot_that_has_no_room_to_drive_is_told_once() {
     let run = |floor: &mut Floor, seconds| floor.run_looking(seconds, |_| false);
     run(&mut floor, 58);
     assert_eq!(floor.coordinator.errand(id(0)), Some(Errand::CutOff));
-    assert_eq!(floor.count(Notice::NoRoom), 0);
+    assert_eq!(floor.count(Notice::ShutIn), 0);
     run(&mut floor, 60);
-    assert_eq!(floor.count(Notice::NoRoom), 1);
+    assert_eq!(floor.count(Notice::ShutIn), 1);
     set(&mut floor.fused, walls.iter().map(|it| (*it, Cell::Free)));
     let explores =
         |floor: &mut Floor| matches!(floor.coordinator.errand(id(0)), Some(Errand::Looks(_)));
     assert!(floor.run_looking(10, explores));
-    assert_eq!(floor.count(Notice::NoRoom), 1);
+    assert_eq!(floor.count(Notice::ShutIn), 1);
 }
