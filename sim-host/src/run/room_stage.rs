@@ -224,6 +224,8 @@ impl Stage for RoomStage {
             while let Some(frame) = FrameSource::poll(&mut self.world, now) {
                 self.waiting.push_back(Event::Frame(frame));
             }
+        } else {
+            self.world.skip_frames(now);
         }
         while let Some(observation) = Source::poll(&mut self.world, now) {
             if !self.is_filmed {

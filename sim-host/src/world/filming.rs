@@ -142,6 +142,15 @@ impl Filming {
         }
     }
 
+    /// Drops the frames that have arrived by `now`, without rendering them.
+    pub(super) fn skip(&mut self, now: Instant) {
+        while let Some(first) = self.under_way.first_entry()
+            && first.key().0 <= now
+        {
+            first.remove();
+        }
+    }
+
     /// The earliest arrival of the next frame.
     pub(super) fn next_arrival(&self) -> Option<Instant> {
         let under_way = self.under_way.keys().map(|&(arrival, ..)| arrival).next();

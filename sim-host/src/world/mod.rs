@@ -274,6 +274,11 @@ impl World {
         if is_taken { self.looks.pop_front() } else { None }
     }
 
+    /// Drops the rendered cameras' frames that have arrived by `now`. Without that, or polling them, they pile up.
+    pub fn skip_frames(&mut self, now: Instant) {
+        self.filming.skip(now);
+    }
+
     /// When the next scan is available; `None` without robots.
     pub fn next_scan(&self) -> Option<Instant> {
         let looks = self.looks.front().map(|look| look.taken);

@@ -270,6 +270,19 @@ fn frames(world: &mut World, until: f64, interval: f64) -> Vec<(f64, Frame)> {
 }
 
 #[test]
+fn skipped_frames_are_gone_and_the_others_are_as_they_were() {
+    let scenario = shrunk(Scenario::built_in().unwrap());
+    let all = frames(&mut world(&scenario, 3), 1.0, 1.0);
+    let mut world = world(&scenario, 3);
+    world.advance(seconds(0.5));
+    world.skip_frames(seconds(0.5));
+    let left = frames(&mut world, 1.0, 1.0);
+    assert!(left.len() > 10 && left.len() < all.len());
+    let captured = |it: &(f64, Frame)| (it.1.captured, it.1.camera);
+    assert!(left.iter().map(captured).eq(all[all.len() - left.len()..].iter().map(captured)));
+}
+
+#[test]
 fn frames_depend_on_the_seed_and_not_on_polling() {
     let scenario = shrunk(Scenario::built_in().unwrap());
     let film = |seed: u64, interval: f64| -> Vec<Frame> {
