@@ -274,7 +274,7 @@ impl World {
         if is_taken { self.looks.pop_front() } else { None }
     }
 
-    /// Drops the rendered cameras' frames that have arrived by `now`. Without that, or polling them, they pile up.
+    /// Drops the rendered cameras' frames that have arrived by `now`, for callers that do not poll them.
     pub fn skip_frames(&mut self, now: Instant) {
         self.filming.skip(now);
     }

@@ -86,7 +86,8 @@ impl Coordinator {
                 member.no_way_out.clear();
                 member.is_given_up = false;
             }
-            if given_up.contains(&index) && !core::mem::replace(&mut member.is_given_up, true) {
+            if given_up.contains(&index) {
+                member.is_given_up = true;
                 self.notices.push_back((member.id, Notice::ShutIn));
             }
         }

@@ -25,7 +25,7 @@ impl Coordinator {
         }
         let looks_for_way = |index: &usize| self.looks_for_way(*index, now);
         let shut_in: Vec<usize> = shut_in.iter().copied().filter(looks_for_way).collect();
-        // Where a frontier could not be seen, what blocks the way to it may be.
+        // A viewpoint that failed for a frontier may still show what blocks the way.
         let (index, target) = self.nearest_look(ground, left, &shut_in, &[])?;
         Some((index, target.shut_in()))
     }
@@ -37,7 +37,8 @@ impl Coordinator {
         is_long_so && member.no_way_out.len() < rules.most_looks
     }
 
-    /// Whether a robot has been shut in for so long that it must be told, and has nowhere to look for a way out.
+    /// Whether a robot has been shut in for `no_way_out_for`, has nowhere left to look, and was not given up yet.
+    /// Cost: one search if the time is over.
     pub(super) fn finds_no_way_out(
         &self,
         ground: &Ground,
@@ -45,8 +46,9 @@ impl Coordinator {
         index: usize,
         now: Instant,
     ) -> bool {
-        let since = self.members[index].shut_in_since;
-        since.is_some_and(|it| now.since(it) >= self.settings.exploration.no_way_out_for)
+        let (rules, member) = (&self.settings.exploration, &self.members[index]);
+        !member.is_given_up
+            && member.shut_in_since.is_some_and(|it| now.since(it) >= rules.no_way_out_for)
             && self.nearest_look(ground, left, &[index], &[]).is_none()
     }
 

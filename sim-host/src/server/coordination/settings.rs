@@ -398,7 +398,7 @@ pub struct ExplorationRules {
     /// have stood in its way. It gives up after `most_looks` within `tried_for`; a
     /// look that others prevented counts for `put_off`.
     pub shut_in_for: Duration,
-    /// Time after which it is told that such a robot has nowhere to look.
+    /// Time for which a robot is shut in before [`Notice::ShutIn`](super::Notice::ShutIn), if it has nowhere left to look.
     pub no_way_out_for: Duration,
     /// Time for which a frontier that was given up for lack of a way is not tried again.
     pub put_off: Duration,
