@@ -224,6 +224,10 @@ fn the_frames_of_a_camera_are_recorded() {
         let captured = if number == 0 { 0 } else { sent };
         let frame = StreamedFrame { captured, sent, depth, picture: None };
         stream::write(&mut sender, &frame).unwrap();
+        if number == 0 {
+            // So that no later frame replaces it before it is looked at.
+            thread::sleep(Duration::from_millis(300));
+        }
         while count() < number as usize {
             assert!(began.elapsed() < PATIENCE, "frame {number} is not recorded");
             thread::sleep(Duration::from_millis(10));
